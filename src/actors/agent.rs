@@ -6,6 +6,7 @@
 
 pub mod apart;
 mod slot;
+pub mod timed;
 
 pub use slot::RobotPolicies;
 
@@ -60,6 +61,8 @@ pub struct Agent {
     /// Longest wait of a joint step for the last percept. After it, the step runs without the missing robots.
     max_wait: Span,
     slots: Vec<Slot>,
+    /// Tasks of all robots of the team that the Agent was told, in the order of their ids.
+    team: Vec<Option<Task>>,
     rounds: RoundFollower,
     /// Round of the last instruction that the Agent follows.
     round: Round,
@@ -89,6 +92,7 @@ impl Agent {
     pub fn new(scenario: Arc<dyn Scenario>, max_wait: Span, robots: Vec<RobotPolicies>) -> Agent {
         assert!(robots.is_sorted_by_key(|policies| policies.robot), "sums run over robots in the order of their ids");
         Agent {
+            team: vec![None; scenario.robots()],
             scenario,
             max_wait,
             missing: robots.len(),
@@ -114,6 +118,7 @@ impl Agent {
         self.rounds.follow(mode.round);
         if mode.round > self.round {
             self.slots.iter_mut().for_each(|slot| slot.task = None);
+            self.team.fill(None);
             self.began = now;
         }
         let ran = self.phase == Phase::Running && mode.round == self.round;
@@ -123,6 +128,9 @@ impl Agent {
         }
         (self.round, self.phase) = (mode.round, mode.phase);
         let block = mode.first.index()..mode.first.index() + mode.tasks.len();
+        for (known, task) in self.team.iter_mut().skip(block.start).zip(&*mode.tasks) {
+            *known = Some(*task);
+        }
         let first = self.slots.partition_point(|slot| slot.policies.robot.index() < block.start);
         for slot in self.slots[first..].iter_mut().take_while(|slot| block.contains(&slot.policies.robot.index())) {
             slot.task = mode.task_of(slot.policies.robot);
@@ -170,13 +178,15 @@ impl Agent {
     fn share(&mut self, now: Time, at: usize) {
         let encoded = self.encode(now, at).is_some();
         let slot = &self.slots[at];
-        let age = if slot.outcome == Outcome::Held { slot.age(now) } else { Span::ZERO };
+        let age = slot.age(now);
+        let said = slot.held().filter(|_| slot.outcome == Outcome::Held).map(|held| held.motion);
         let Slot { policies, percept, features, .. } = slot;
         let place = |at: usize| u32::try_from(at).expect("the latents of a step take less than four gigabytes");
         let range = encoded.then(|| [self.features.len(), self.features.len() + features.len()].map(place));
         let shared = percept.as_ref().map(|percept| SharedData {
             robot: policies.robot,
             motion: percept.estimate,
+            said: said.unwrap_or(percept.estimate),
             features: range,
             age,
         });
@@ -201,7 +211,7 @@ impl Agent {
                 if slot.outcome == Outcome::Held {
                     continue;
                 }
-                slot.check(phase);
+                slot.encoded(phase);
                 if slot.outcome == Outcome::Sound {
                     self.features[begins..ends].copy_from_slice(&slot.features);
                 } else {
@@ -253,12 +263,12 @@ impl Agent {
         let task = bound_for(phase, task);
         let own = slot.policies.observe(&*self.scenario, &task, percept, now.since(self.episode_began));
         slot.own = own;
-        if !slot.is_due(phase) {
+        if !slot.is_due(now, phase) {
             slot.outcome = Outcome::Held;
-            return slot.says().then_some(());
+            return slot.held().filter(|held| held.sound).map(drop);
         }
         if phase == Phase::Running {
-            slot.steps(now, (&task, &own));
+            slot.steps(now, (&task, &self.team), &own);
         }
         let seen = Observation { values: &slot.values, ..own };
         let policy = slot.policies.of(phase);
@@ -314,7 +324,7 @@ impl Agent {
         }
         let velocity = match slot.outcome {
             Outcome::Sound | Outcome::Silent => Some(limited(velocity, limit)),
-            Outcome::Held => slot.holds(),
+            Outcome::Held => slot.held().map(|held| held.velocity),
             Outcome::Failed => None,
             // The Controller stops the robot for it, as for any output that is not finite.
             Outcome::Invalid => Some(Vec2::repeat(f32::NAN)),
@@ -440,6 +450,7 @@ mod tests {
             run: Box::new(Counting),
             reset: Box::new(Counting),
             actions: stream(),
+            resets: stream(),
             ranges: stream(),
         };
         let robots = robots.iter().map(policies).collect();
@@ -665,7 +676,7 @@ mod tests {
         fn interface(&self) -> Interface {
             Counting.interface()
         }
-        fn reset(&mut self) {
+        fn reset(&mut self, _: u64) {
             (self.steps, self.said) = (0.0, [0.0]);
         }
         fn forgets_after(&self) -> Option<Span> {
@@ -692,8 +703,10 @@ mod tests {
             let stream = || Seed::of_run(0).stream("agent");
             let (robot, task, reset) = (slot.policies.robot, slot.task, Box::new(Counting));
             let RobotPolicies { range, every, .. } = slot.policies;
-            let (dynamics, actions, ranges) = (Dynamics::default(), stream(), stream());
-            *slot = Slot::new(RobotPolicies { robot, dynamics, range, every, channels, run, reset, actions, ranges });
+            let (dynamics, actions, resets, ranges) = (Dynamics::default(), stream(), stream(), stream());
+            let policies =
+                RobotPolicies { robot, dynamics, range, every, channels, run, reset, actions, resets, ranges };
+            *slot = Slot::new(policies);
             slot.task = task;
         }
     }
@@ -773,27 +786,82 @@ mod tests {
         assert_eq!(steps, [([0.0, 0.0], 1.0), ([0.01, 0.0], 2.0), ([0.02, 0.0], 3.0)]);
     }
 
-    #[test]
-    fn a_policy_with_a_longer_period_steps_at_its_own_ticks_and_holds_between() {
-        let mut agent = agent(&[0, 1]);
-        agent.slots[1].policies.every = 3;
-        for slot in &mut agent.slots {
-            slot.policies.run = Box::new(Remembering { steps: 0.0, said: [0.0] });
-            slot.policies.channels = Bound::default();
+    /// Test policy that counts its steps like [`Remembering`], three times slower.
+    struct Slow(Remembering);
+
+    impl Policy for Slow {
+        fn interface(&self) -> Interface {
+            Interface { period: Span::from_millis(150), ..Counting.interface() }
         }
-        agent.slots[0].policies.run = Box::new(Counting);
-        // Of robot 1: its speed, and whether it broadcasts. Robot 0 hears it in each step, and counts it.
-        let mut step = |ms: u64| {
-            let (now, mut out) = (Time::ZERO + Span::from_millis(ms), Vec::new());
-            for robot in [0, 1] {
-                agent.handle(now, percept(robot, f32::from(robot), Vec::new()), &mut out);
-            }
+        fn encode(&mut self, own: &Observation, features: &mut [f32]) {
+            self.0.encode(own, features);
+        }
+        fn act(&mut self, _: &Observation, _: &[f32], _: &[Neighbour], _: &mut Stream) -> Vec2 {
+            self.0.steps += 1.0;
+            self.0.said = [self.0.steps];
+            Vec2::new(self.0.steps / 100.0, 0.0)
+        }
+        fn broadcast(&self) -> Broadcast<'_> {
+            self.0.broadcast()
+        }
+    }
+
+    /// Test policy that notes the message, the age \[ms\] and the place of its only neighbour; it stands.
+    struct Noting(std::rc::Rc<std::cell::RefCell<Vec<(f32, u64, f32)>>>);
+
+    impl Policy for Noting {
+        fn interface(&self) -> Interface {
+            Counting.interface()
+        }
+        fn encode(&mut self, _: &Observation, _: &mut [f32]) {}
+        fn act(&mut self, _: &Observation, _: &[f32], neighbours: &[Neighbour], _: &mut Stream) -> Vec2 {
+            let note = |one: &Neighbour| (one.features[0], one.age.as_nanos() / 1_000_000, one.motion.position.x);
+            self.0.borrow_mut().extend(neighbours.iter().map(note));
+            Vec2::zeros()
+        }
+    }
+
+    #[test]
+    fn a_slower_policy_steps_at_its_own_rate_holds_its_velocity_between_and_is_heard_with_its_age() {
+        let (mut agent, heard) = (agent(&[0, 1]), std::rc::Rc::<std::cell::RefCell<Vec<_>>>::default());
+        agent.slots[0].policies.run = Box::new(Noting(heard.clone()));
+        let RobotPolicies { robot, range, .. } = agent.slots[1].policies;
+        let stream = || Seed::of_run(0).stream("agent");
+        let task = agent.slots[1].task;
+        agent.slots[1] = Slot::new(RobotPolicies {
+            robot,
+            dynamics: Dynamics::default(),
+            range,
+            every: 3,
+            channels: Bound::default(),
+            run: Box::new(Slow(Remembering { steps: 0.0, said: [0.0] })),
+            reset: Box::new(Counting),
+            actions: stream(),
+            resets: stream(),
+            ranges: stream(),
+        });
+        agent.slots[1].task = task;
+        // Of robot 1, which moves by 1 cm a tick: its speed, and whether it broadcasts.
+        let step = |agent: &mut Agent, ms: u16| {
+            let (now, mut out) = (Time::ZERO + Span::from_millis(ms.into()), Vec::new());
+            agent.handle(now, percept(0, 0.0, Vec::new()), &mut out);
+            agent.handle(now, percept(1, f32::from(ms) / 5000.0, Vec::new()), &mut out);
             let said = out.iter().filter(|out| matches!(out, Out::Latent(latent) if latent.robot == RobotId(1)));
             (speeds(&out)[1].1, said.count())
         };
-        let steps = [100, 150, 200, 250, 300, 350, 400].map(&mut step);
+        let steps = [100, 150, 200, 250, 300, 350, 400].map(|ms| step(&mut agent, ms));
         assert_eq!(steps.map(|(_, said)| said), [1, 0, 0, 1, 0, 0, 1]);
         assert_eq!(steps.map(|(speed, _)| speed), [0.01, 0.01, 0.01, 0.02, 0.02, 0.02, 0.03]);
+        // What `act` has computed is heard from the next tick on, with the place of the step that has made it.
+        let all = heard.take();
+        assert_eq!(all[..4], [(0.0, 0, 0.02), (1.0, 50, 0.02), (1.0, 100, 0.02), (1.0, 150, 0.05)], "{all:?}");
+        assert_eq!(all[4..6], [(2.0, 50, 0.05), (2.0, 100, 0.05)], "{all:?}");
+        // It has no percept for half a second; what it made before then does not hold any longer.
+        agent.handle(Time::ZERO + Span::from_millis(450), percept(0, 0.0, Vec::new()), &mut Vec::new());
+        agent.wake(Time::ZERO + Span::from_millis(462), &mut Vec::new());
+        assert_eq!(step(&mut agent, 1000), (0.04, 1), "it has a step as soon as it can");
+        agent.undo();
+        assert_eq!(step(&mut agent, 1050), (0.05, 1), "a step that was late is made up for");
     }
 
     #[test]
@@ -820,8 +888,8 @@ mod tests {
         fn interface(&self) -> Interface {
             Counting.interface()
         }
-        fn reset(&mut self) {
-            self.0.reset();
+        fn reset(&mut self, seed: u64) {
+            self.0.reset(seed);
         }
         fn forgets_after(&self) -> Option<Span> {
             self.0.forgets_after()

@@ -18,6 +18,8 @@ pub(super) struct SharedData {
     pub robot: RobotId,
     /// Estimate of the robot's position \[m\] and velocity \[m/s\] in the world frame.
     pub motion: Motion,
+    /// The estimate in the step that has made the features, which is what the robot says of itself.
+    pub said: Motion,
     /// Start and end of the robot's latent features within the list of all latents of the Agent's current step; `None`
     /// if the robot broadcasts nothing.
     pub features: Option<[u32; 2]>,
@@ -65,8 +67,8 @@ impl<'a> Step<'a> {
         let own = percept.estimate;
         let joint = companions.filter(|other| other.age <= hold).filter_map(|other| {
             let [begins, ends] = other.features?.map(|at| at as usize);
-            range.admits(own.position, other.motion.position, ranges).then(|| {
-                let motion = frame.turn_motion(&other.motion);
+            range.admits(own.position, other.said.position, ranges).then(|| {
+                let motion = frame.turn_motion(&other.said);
                 (other.robot, Neighbour { motion, features: &shared[begins..ends], age: other.age })
             })
         });

@@ -38,8 +38,8 @@ pub struct Role {
 /// Roles of a team, by their names.
 pub type Roles = BTreeMap<String, Role>;
 
-/// Reads the tables `roles` of a file that has nothing else (TOML). Paths of policies start from `folder`. An error names
-/// the line or the field.
+/// Reads the tables `roles` of a file that has nothing else (TOML). Paths of policies start from `folder`. An error
+/// names the line or the field.
 pub fn roles_of(registry: &Registry, text: &str, folder: &Path) -> Result<Roles, ConfigError> {
     #[derive(Deserialize)]
     #[serde(deny_unknown_fields)]

@@ -12,14 +12,14 @@ use crate::trial::Trial;
 /// Policy that drives the robots to their starts before an episode.
 const RESET: Model = Model::Orca;
 
-/// Returns the longest time for which a joint step of an Agent waits for late percepts.
-pub(super) fn max_wait(trial: &Trial) -> Span {
-    Span::from_nanos(trial.models.period().as_nanos() / 4)
+/// Returns the longest time for which a joint step of an Agent of `robots` waits for late percepts.
+pub(super) fn max_wait(trial: &Trial, robots: &[RobotId]) -> Span {
+    Span::from_nanos(trial.models.tick(robots).as_nanos() / 4)
 }
 
 /// Makes an Agent of `robots`, which are in the order of their ids, at the start number `incarnation` of the actor.
 pub(super) fn agent_of(trial: &Trial, robots: &[RobotId], incarnation: u32) -> Agent {
-    let seed = trial.streams();
+    let (seed, tick) = (trial.streams(), trial.models.tick(robots));
     let policies = |&robot: &RobotId| {
         // A policy sees the commanded point, so the hull of a differential drive is wider for it.
         let arena = trial.scenario.arena().about_point(trial.deployment.chassis(robot).point_ahead_m);
@@ -27,22 +27,24 @@ pub(super) fn agent_of(trial: &Trial, robots: &[RobotId], incarnation: u32) -> A
             robot,
             dynamics: trial.dynamics(robot),
             range: trial.comm_range(robot),
-            every: trial.models.every(robot),
+            every: trial.models.every(robot, tick),
             channels: trial.channels(robot).unwrap_or_else(|error| panic!("the policy was checked: {error}")),
-            run: trial.models.of(robot).instance(&arena),
-            reset: RESET.instance(&arena),
+            run: trial.models.of(robot).instance(&arena, robot),
+            reset: RESET.instance(&arena, robot),
             actions: seed.stream(&format!("agent/{}/action/{incarnation}", robot.0)),
+            resets: seed.stream(&format!("agent/{}/reset/{incarnation}", robot.0)),
             ranges: seed.stream(&format!("agent/{}/range/{incarnation}", robot.0)),
         }
     };
+    let wait = max_wait(trial, robots);
     let robots = robots.iter().map(policies).collect();
-    Agent::new(Arc::clone(&trial.scenario), max_wait(trial), robots)
+    Agent::new(Arc::clone(&trial.scenario), wait, robots)
 }
 
-/// Returns the longest times until the answer of a worker that computes an Agent's policies: from the step, after which
-/// the next one is near, and from the control tick, after which the guard takes no action any more.
-pub(super) fn deadlines(trial: &Trial) -> [Span; 2] {
-    let half = Span::from_nanos(trial.models.period().as_nanos() / 2);
+/// Returns the longest times until the answer of a worker that computes the policies of an Agent of `robots`: from the
+/// step, after which the next one is near, and from the control tick, after which the guard takes no action any more.
+pub(super) fn deadlines(trial: &Trial, robots: &[RobotId]) -> [Span; 2] {
+    let half = Span::from_nanos(trial.models.tick(robots).as_nanos() / 2);
     [half, Span::from_secs(0.8 * trial.safety.late_tick_s)]
 }
 

@@ -24,6 +24,7 @@ use tracing::info_span;
 
 use crate::actors::agent;
 use crate::actors::agent::apart::{self, Apart};
+use crate::actors::agent::timed::Timed;
 use crate::actors::cache::{self, Cache};
 use crate::actors::controller::{self, Controller};
 use crate::actors::network;
@@ -161,10 +162,10 @@ fn phase(trial: &Trial, name: &str, robot: RobotId, period: Span) -> Span {
     }
 }
 
-/// Returns the configuration of a robot's guard. `chassis` has one entry for each robot of the team. The guard sees
-/// commanded points, which lie ahead of the centre of a differential drive. Therefore the least distances of the guard
-/// are larger by the offset of these points, and its geofence is smaller.
-fn guard_config(trial: &Trial, robot: RobotId, chassis: &[Chassis]) -> filter::Settings {
+/// Returns the configuration of a robot's guard, which gets a command each `period`. `chassis` has one entry for each
+/// robot of the team. The guard sees commanded points, which lie ahead of the centre of a differential drive. Therefore
+/// the least distances of the guard are larger by the offset of these points, and its geofence is smaller.
+fn guard_config(trial: &Trial, robot: RobotId, period: Span, chassis: &[Chassis]) -> filter::Settings {
     let own = &chassis[robot.index()];
     let others = RobotId::team(chassis.len()).zip(chassis.iter()).filter(|(other, _)| *other != robot);
     let farthest_m = others.map(|(_, other)| other.point_ahead_m).fold(0.0, f32::max);
@@ -175,7 +176,7 @@ fn guard_config(trial: &Trial, robot: RobotId, chassis: &[Chassis]) -> filter::S
         // At most the speed of the chassis, so that the guard judges the velocity that is really driven.
         limit_m_s: trial.models.of(robot).interface().limit_m_s.min(own.speed_m_s),
         clamp: trial.clamp,
-        period: trial.models.period(),
+        period,
     }
 }
 
@@ -190,7 +191,8 @@ fn wire_robot(
 ) {
     let (at, id, seed) = (robot.index(), robot.0, trial.streams());
     let first = graph.routes.agent_robots(robot)[0];
-    let (interface, period) = (trial.models.of(robot).interface(), trial.models.period());
+    let interface = trial.models.of(robot).interface();
+    let period = trial.models.tick(graph.routes.agent_robots(robot));
     let config = cache::Config {
         robot,
         period,
@@ -202,7 +204,8 @@ fn wire_robot(
         estimator: trial.estimator,
         sensor_delay: trial.reading_delay(),
         own_age: Span::from_secs(trial.safety.own_state_s),
-        limit_m_s: interface.limit_m_s,
+        // Of all robots, since what others say is held against it.
+        limit_m_s: trial.models.limit_m_s(),
         senses: trial.deployment.sense_names().len(),
     };
     let make = move |incarnation| Cache::new(config, seed.stream(&format!("cache/{id}/range/{incarnation}")));
@@ -241,7 +244,7 @@ fn wire_controller(clock: &Clock, trial: &Trial, graph: &Graph, robot: RobotId, 
     let (host, mailbox) = (graph.routes.agent_host(robot), &graph.controllers[robot.index()]);
     let config = controller::Config {
         robot,
-        guard: guard_config(trial, robot, chassis),
+        guard: guard_config(trial, robot, trial.models.tick(graph.routes.agent_robots(robot)), chassis),
         valid_for: COMMAND_VALIDITY,
         phase: phase(trial, "controller", robot, controller::HEARTBEAT_PERIOD),
         signed: graph.signed,
@@ -275,12 +278,20 @@ fn wire_agent(clock: &Clock, trial: &Rc<Trial>, graph: &Graph, robot: RobotId, p
         agent::Out::Latent(latent) => network.send(network::In::Publish(Wire::Latent(latent))),
         agent::Out::Action(action) => controllers[action.robot.index()].send(controller::In::Action(action)),
     };
+    if process.emulated && trial.step_takes > Span::ZERO {
+        let make = move |incarnation| {
+            let apart = Apart::new(&robots, max_wait(&trial, &robots), deadlines(&trial, &robots));
+            Timed::new(apart, agent_of(&trial, &robots, incarnation), trial.step_takes)
+        };
+        start(clock, mailbox, span, make, sink);
+        return;
+    }
     let Some(gate) = process.devices.agents.get(&robot).cloned() else {
         start(clock, mailbox, span, move |incarnation| agent_of(&trial, &robots, incarnation), sink);
         return;
     };
-    let deadlines = deadlines(&trial);
-    let make = move |_| Apart::new(&robots, max_wait(&trial), deadlines);
+    let (wait, deadlines) = (max_wait(&trial, &robots), deadlines(&trial, &robots));
+    let make = move |_| Apart::new(&robots, wait, deadlines);
     start(clock, mailbox, span, make, move |out| match out {
         apart::Out::Agent(out) => sink(out),
         apart::Out::Ask(packet) => gate.iter().for_each(|gate| gate.borrow_mut().send(packet.clone())),

@@ -181,7 +181,7 @@ mod tests {
     fn values(bound: &Bound, own: &Observation, frame: PolicyFrame) -> Vec<f32> {
         let task = Task { start: Vec2::zeros(), goal: frame.turn(own.goal) };
         let mut values = vec![0.0; bound.floats()];
-        bound.write(&Known { task: &task, own: &Observation { frame, ..*own }, sensed: &[] }, &mut values);
+        bound.write(&Known { task: &task, team: &[], own: &Observation { frame, ..*own }, sensed: &[] }, &mut values);
         values
     }
 

@@ -69,6 +69,9 @@ pub enum Quantity {
 pub struct Known<'a> {
     /// Start and goal of the robot \[m\], world frame.
     pub task: &'a Task,
+    /// Start and goal of each robot of the team \[m\], world frame, in the order of robot ids; `None` for one that the
+    /// robot has not been told yet.
+    pub team: &'a [Option<Task>],
     /// Observation of the robot in the policy frame; its `values` are empty.
     pub own: &'a Observation<'a>,
     /// Newest values of each sense of the robot, in the order of the senses; empty in a team without senses.

@@ -83,9 +83,11 @@ pub trait Policy {
         1
     }
 
-    /// Puts the policy back to its start, so that it remembers nothing of the steps before. The default does nothing,
-    /// for a policy whose instance keeps no state from one step to the next.
-    fn reset(&mut self) {}
+    /// Puts the policy back to its start, so that it remembers nothing of the steps before. `seed` is for random
+    /// numbers that the policy draws itself until the next call: it follows from the seed of the run, the robot, and
+    /// the number of calls since its Agent was started. The default does nothing, for a policy whose instance keeps no
+    /// state from one step to the next.
+    fn reset(&mut self, _seed: u64) {}
 
     /// Takes back the last step, whose action came too late and was not used: the state is that before the step. Called
     /// at most once after each step. The default does nothing, for a policy without state.

@@ -9,6 +9,7 @@ use super::manifest::{Architecture, Training};
 use super::weights::{self, WeightsError};
 use super::{Draw, Interface, Policy, SHIPPED, orca, probe, shipped};
 use crate::chassis::Chassis;
+use crate::messages::ids::RobotId;
 use crate::messages::wire::{Form, MAX_FLOATS};
 use crate::observation::Request;
 use crate::scenario::Arena;
@@ -58,11 +59,13 @@ pub struct Origin {
     pub message: String,
     /// Whether the policy commands a yaw rate, which only a robot with a differential drive follows.
     pub turns: bool,
+    /// Number of robots of the largest team that the policy tells apart; `None` without such a bound.
+    pub most_robots: Option<usize>,
 }
 
-/// Constructor of one robot's instance, for an arena in the policy frame. The second argument says how actions are
-/// drawn, which only a policy with an output distribution reads.
-type Instance = dyn Fn(&Arena, Draw) -> Box<dyn Policy> + Send + Sync;
+/// Constructor of one robot's instance, for an arena in the policy frame. The last argument says how actions are drawn,
+/// which only a policy with an output distribution reads.
+type Instance = dyn Fn(&Arena, RobotId, Draw) -> Box<dyn Policy> + Send + Sync;
 
 impl fmt::Debug for Custom {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -167,13 +170,13 @@ impl Model {
         instance: impl Fn(&Arena) -> Box<dyn Policy> + Send + Sync + 'static,
     ) -> Model {
         interface.check().unwrap_or_else(|reason| panic!("policy '{name}': {reason}"));
-        let instance = move |arena: &Arena, _: Draw| instance(arena);
+        let instance = move |arena: &Arena, _: RobotId, _: Draw| instance(arena);
         Model::Custom(Custom { name, interface, origin: Origin::default(), draw: None, instance: Arc::new(instance) })
     }
 
     /// Makes a model of a policy whose file another crate reads. `name` is the name of its kind in reports, `origin`
     /// what is known from the file, and `draw` how actions are drawn unless the user says otherwise; `None` if the
-    /// policy has no output distribution. `instance` makes one robot's instance for an arena in the policy frame.
+    /// policy has no output distribution. `instance` makes the instance of a robot for an arena in the policy frame.
     ///
     /// # Errors
     /// No team could run the interface; the text says why.
@@ -181,7 +184,7 @@ impl Model {
         (name, interface): (&'static str, Interface),
         origin: Origin,
         draw: Option<Draw>,
-        instance: impl Fn(&Arena, Draw) -> Box<dyn Policy> + Send + Sync + 'static,
+        instance: impl Fn(&Arena, RobotId, Draw) -> Box<dyn Policy> + Send + Sync + 'static,
     ) -> Result<Model, String> {
         interface.check()?;
         Ok(Model::Custom(Custom { name, interface, origin, draw, instance: Arc::new(instance) }))
@@ -200,14 +203,14 @@ impl Model {
         }
     }
 
-    /// Makes the policy instance of one robot. `arena` has the ground, the walls and the robots' radius, in the policy
+    /// Makes the policy instance of `robot`. `arena` has the ground, the walls and the robots' radius, in the policy
     /// frame.
-    pub fn instance(&self, arena: &Arena) -> Box<dyn Policy> {
+    pub fn instance(&self, arena: &Arena, robot: RobotId) -> Box<dyn Policy> {
         match self {
             Model::Orca => Box::new(orca::Orca::new(arena)),
             Model::Gnn(network, draw) => Box::new(Gnn::new(Arc::clone(network), *draw)),
             Model::Hops(network, draw) => Box::new(Hops::new(Arc::clone(network), *draw)),
-            Model::Custom(custom) => (custom.instance)(arena, custom.draw.unwrap_or(Draw::Mean)),
+            Model::Custom(custom) => (custom.instance)(arena, robot, custom.draw.unwrap_or(Draw::Mean)),
         }
     }
 
@@ -286,6 +289,17 @@ impl Model {
         }
     }
 
+    /// Returns whether both are the same policy: of one file, or of one constructor.
+    pub fn is_same_as(&self, other: &Model) -> bool {
+        let of_file = !self.digest().is_empty() && self.digest() == other.digest() && self.name() == other.name();
+        of_file
+            || match (self, other) {
+                (Model::Orca, Model::Orca) => true,
+                (Model::Custom(one), Model::Custom(other)) => Arc::ptr_eq(&one.instance, &other.instance),
+                _ => false,
+            }
+    }
+
     /// Returns the name of what the policy's messages mean; empty if no other policy understands them.
     pub fn message(&self) -> &str {
         match self {
@@ -297,6 +311,14 @@ impl Model {
     /// Returns whether the policy commands a yaw rate, which only a robot with a differential drive follows.
     pub fn turns(&self) -> bool {
         matches!(self, Model::Custom(custom) if custom.origin.turns)
+    }
+
+    /// Returns the number of robots of the largest team that the policy tells apart; `None` without such a bound.
+    pub fn most_robots(&self) -> Option<usize> {
+        match self {
+            Model::Custom(custom) => custom.origin.most_robots,
+            Model::Orca | Model::Gnn(..) | Model::Hops(..) => None,
+        }
     }
 
     /// Returns the channels of the observation that the policy takes by name, in the order in which it gets their

@@ -92,14 +92,20 @@ impl Models {
         Models { roles, ..self }
     }
 
-    /// Returns the period of the team's control ticks: the shortest one of a model.
+    /// Returns the shortest period of a model.
     pub fn period(&self) -> Span {
         self.all().map(|model| model.interface().period).min().expect("a team has a role")
     }
 
-    /// Returns how many control ticks the period of the robot's model is long.
-    pub fn every(&self, robot: RobotId) -> u32 {
-        let every = times(self.of(robot).interface().period, self.period());
+    /// Returns the period of the control ticks of an Agent of `robots`: the shortest one of their models.
+    pub fn tick(&self, robots: &[RobotId]) -> Span {
+        let periods = robots.iter().map(|robot| self.of(*robot).interface().period);
+        periods.min().unwrap_or_else(|| self.period())
+    }
+
+    /// Returns how many control ticks of an Agent, whose period is `tick`, the period of the robot's model is long.
+    pub fn every(&self, robot: RobotId, tick: Span) -> u32 {
+        let every = times(self.of(robot).interface().period, tick);
         u32::try_from(every).expect("periods are 1 to 100 ms")
     }
 
@@ -111,11 +117,6 @@ impl Models {
     /// Returns the form of the messages, which is that of all models.
     pub fn form(&self) -> Form {
         self.roles[0].1.form()
-    }
-
-    /// Returns the largest radius within which any robot hears its neighbours by its policy \[m\].
-    pub fn radius_m(&self) -> f32 {
-        self.all().fold(0.0, |most, model| most.max(model.interface().radius_m))
     }
 
     /// Returns the longest age up to which any policy uses a message.
@@ -197,13 +198,13 @@ fn understands(one: &Model, other: &Model, role: &str) -> Result<(), String> {
     if kept != missing {
         return differ("for missing parts", &word(kept), &word(missing));
     }
-    if ours == 0 || one.digest() == other.digest() && one.name() == other.name() {
+    if ours == 0 || one.is_same_as(other) {
         return Ok(());
     }
     match [other, one].map(Model::message) {
         ["", _] | [_, ""] => Err(format!(
             "it is another policy than {whose}, and that both mean the same by their messages is not \
-             said: give both contracts one message.name"
+             said: give both contracts one message.name (policies of formats 1 and 2 have none: take one file)"
         )),
         [theirs, ours] if theirs != ours => differ("the name", &format!("'{theirs}'"), &format!("'{ours}'")),
         _ => Ok(()),
@@ -221,7 +222,7 @@ mod tests {
         let mut interface = Interface { features: 600, radius_m: 2.0, period, limit_m_s: 1.0, hold };
         let mut origin = Origin { digest: "a".repeat(16), message: "pair".to_owned(), ..Origin::default() };
         change(&mut interface, &mut origin);
-        let never = |_: &_, _| -> Box<dyn Policy> { unreachable!("no test makes an instance") };
+        let never = |_: &_, _, _| -> Box<dyn Policy> { unreachable!("no test makes an instance") };
         Model::of_file(("custom", interface), origin, None, never).expect("a sound interface")
     }
 
@@ -254,13 +255,14 @@ mod tests {
     fn periods_are_multiples_of_the_shortest_one() {
         let slow = |ms: u64| of(model(|interface, _| interface.period = Span::from_millis(ms)));
         let models = slow(100).expect("twice the period");
-        assert_eq!(
-            (models.period(), models.every(RobotId(0)), models.every(RobotId(1))),
-            (Span::from_millis(50), 1, 2)
-        );
-        assert_eq!(models.every(RobotId(9)), 1, "robots beyond the list have the first role");
+        let every = |models: &Models, robot: u16, of: &[u16]| {
+            models.every(RobotId(robot), models.tick(&of.iter().copied().map(RobotId).collect::<Vec<_>>()))
+        };
+        assert_eq!([every(&models, 0, &[0, 1, 2]), every(&models, 1, &[0, 1, 2])], [1, 2], "one Agent of all");
+        assert_eq!(every(&models, 1, &[1]), 1, "a slower robot alone ticks at its own rate");
+        assert_eq!(every(&models, 9, &[9]), 1, "robots beyond the list have the first role");
         let third = of(model(|interface, _| interface.period = Span::from_secs(1.0 / 60.0)));
-        assert_eq!(third.map(|models| models.every(RobotId(0))), Ok(3), "a period of 16.6 ms is rounded");
+        assert_eq!(third.map(|models| every(&models, 0, &[0, 1])), Ok(3), "a period of 16.6 ms is rounded");
         let Err(Unequal { role, why }) = slow(70) else { panic!("it is no multiple") };
         assert!(role == "carrier" && why.contains("14.3 steps a second"), "{why}");
     }

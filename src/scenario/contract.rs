@@ -62,12 +62,14 @@ pub fn check(entry: &Entry) -> Result<(), String> {
         require(scenario.name() == entry.name, || format!("its name is not '{}'", entry.name)).map_err(named)?;
         hulls(scenario, &settings).map_err(named)?;
         tasks(scenario).map_err(named)?;
-        for task in (0..4).flat_map(|episode| scenario.tasks(5, episode)) {
-            frames(scenario, &task).map_err(named)?;
-            channels(scenario, &task).map_err(named)?;
-            match scenario.cost() {
-                None => distance(scenario, &task).map_err(named)?,
-                Some(_) => no_goal(scenario, &task).map_err(named)?,
+        for tasks in (0..4).map(|episode| scenario.tasks(5, episode)) {
+            for task in &tasks {
+                frames(scenario, task).map_err(named)?;
+                channels(scenario, (task, &tasks)).map_err(named)?;
+                match scenario.cost() {
+                    None => distance(scenario, task).map_err(named)?,
+                    Some(_) => no_goal(scenario, task).map_err(named)?,
+                }
             }
         }
         costs(scenario).map_err(named)?;
@@ -117,8 +119,9 @@ fn tasks(scenario: &dyn Scenario) -> Result<(), String> {
     require(scenario.tasks(1, 0) != scenario.tasks(2, 0), || "seeds 1 and 2 give equal tasks")
 }
 
-/// Checks that each channel of the scenario has a name of its own, and finite values for a robot with this `task`.
-fn channels(scenario: &dyn Scenario, task: &Task) -> Result<(), String> {
+/// Checks that each channel of the scenario has a name of its own, and finite values for a robot with this `task`, of a
+/// team with these `tasks`.
+fn channels(scenario: &dyn Scenario, (task, tasks): (&Task, &[Task])) -> Result<(), String> {
     let own = scenario.channels();
     let mut names: Vec<String> = builtin::channels().iter().map(|channel| channel.name.to_string()).collect();
     for channel in &own {
@@ -130,7 +133,8 @@ fn channels(scenario: &dyn Scenario, task: &Task) -> Result<(), String> {
     let bound = Bound::new(&requests, &own).map_err(|error| error.to_string())?;
     let seen = scenario.observe(task, &Motion::at_rest(task.start));
     let mut values = vec![f32::NAN; bound.floats()];
-    bound.write(&Known { task, own: &seen, sensed: &[] }, &mut values);
+    let team: Vec<Option<Task>> = tasks.iter().copied().map(Some).collect();
+    bound.write(&Known { task, team: &team, own: &seen, sensed: &[] }, &mut values);
     require(values.iter().all(|value| value.is_finite()), || "a channel of the observation is not finite at the start")
 }
 
@@ -177,12 +181,13 @@ fn costs(scenario: &dyn Scenario) -> Result<(), String> {
     let limit = scenario.rules().limit;
     require(limit > Span::ZERO, || "its episodes, which end by time, take none")?;
     for tasks in (0..4).map(|episode| scenario.tasks(7, episode)) {
+        let goals: Vec<Vec2> = tasks.iter().map(|task| task.goal).collect();
         let moving = |task: &Task| Motion { position: task.start, velocity: scenario.start_velocity(task) };
         let at_rest = |task: &Task| Motion::at_rest(task.start);
         for team in [tasks.iter().map(moving).collect::<Vec<_>>(), tasks.iter().map(at_rest).collect()] {
-            let found = (cost.of)(&team);
+            let found = (cost.of)(&team, &goals);
             require(found.is_finite() && found >= 0.0, || format!("a cost of {found}"))?;
-            require((cost.of)(&team) == found, || "another cost of the same team")?;
+            require((cost.of)(&team, &goals) == found, || "another cost of the same team")?;
         }
     }
     Ok(())

@@ -1,7 +1,7 @@
 //! Cost of a team over time, by which an episode of a scenario without goals is judged.
 
 use super::Scenario;
-use crate::messages::geometry::{Motion, Planar};
+use crate::messages::geometry::{Motion, Planar, Vec2};
 
 /// Cost of a scenario without goals: what a team keeps low for the whole time of an episode.
 #[derive(Clone, Copy, Debug)]
@@ -10,9 +10,10 @@ pub struct Cost {
     pub name: &'static str,
     /// Unit of the cost, such as `m2/s2`.
     pub unit: &'static str,
-    /// Function that returns the cost of a team at one instant, from the true states of its robots in the world frame.
-    /// The list is never empty. The cost of an episode is the mean of this function over the steps of the episode.
-    pub of: fn(&[Motion]) -> f64,
+    /// Function that returns the cost of a team at one instant, from the true states of its robots and the goals of
+    /// their tasks \[m\], both in the world frame. The states are never empty. The cost of an episode is the mean of
+    /// this function over the steps of the episode.
+    pub of: fn(&[Motion], &[Vec2]) -> f64,
 }
 
 /// Mean of a cost over the steps of one episode so far.
@@ -29,10 +30,11 @@ impl MeanCost {
         MeanCost { cost, sum: 0.0, steps: 0 }
     }
 
-    /// Adds a step with these states of the team, world frame. A step without robots does not count.
-    pub fn add(&mut self, team: &[Motion]) {
+    /// Adds a step with these states of the team, world frame, whose tasks have these `goals` \[m\]. A step without
+    /// robots does not count.
+    pub fn add(&mut self, team: &[Motion], goals: &[Vec2]) {
         if !team.is_empty() {
-            self.sum += (self.cost.of)(team);
+            self.sum += (self.cost.of)(team, goals);
             self.steps += 1;
         }
     }
@@ -72,18 +74,17 @@ impl Ending {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::messages::geometry::Vec2;
 
     #[test]
     fn a_flock_costs_the_variance_of_its_velocities_over_robots_and_time() {
         let at = |x: f32, y: f32| Motion { position: Vec2::new(9.0, x), velocity: Vec2::new(x, y) };
         assert_eq!(velocity_variance(&[at(0.5, 1.0), at(0.5, 1.0)]), 0.0);
         // Distances of 1 and 1 from the mean (1, 0), then of 2 and 2 from (0, 0).
-        let mut mean = MeanCost::new(Cost { name: "variance", unit: "m2/s2", of: velocity_variance });
+        let mut mean = MeanCost::new(Cost { name: "variance", unit: "m2/s2", of: |team, _| velocity_variance(team) });
         assert_eq!(mean.mean(), None);
-        mean.add(&[at(0.0, 0.0), at(2.0, 0.0)]);
-        mean.add(&[]);
-        mean.add(&[at(0.0, -2.0), at(0.0, 2.0)]);
+        mean.add(&[at(0.0, 0.0), at(2.0, 0.0)], &[]);
+        mean.add(&[], &[]);
+        mean.add(&[at(0.0, -2.0), at(0.0, 2.0)], &[]);
         assert_eq!(mean.mean(), Some(2.5));
     }
 }

@@ -172,7 +172,7 @@ impl Scenario for Flocking {
     }
 
     fn cost(&self) -> Option<Cost> {
-        Some(Cost { name: "velocity variance", unit: "m2/s2", of: velocity_variance })
+        Some(Cost { name: "velocity variance", unit: "m2/s2", of: |team, _| velocity_variance(team) })
     }
 
     fn start_velocity(&self, task: &Task) -> Vec2 {

@@ -156,7 +156,7 @@ impl Judge {
         }
         if let Some(cost) = &mut self.cost {
             let motion = |robot: &JudgedRobot| Motion { position: robot.position, velocity: robot.velocity };
-            cost.add(&robots.iter().map(motion).collect::<Vec<_>>());
+            cost.add(&robots.iter().map(motion).collect::<Vec<_>>(), &self.goals);
             return (after >= self.rules.limit).then(|| self.end(after, Verdict::Completed));
         }
         for (at, robot) in robots.iter().enumerate() {

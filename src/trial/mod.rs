@@ -72,6 +72,9 @@ pub struct Trial {
     pub range: Option<CommRange>,
     /// How long a robot uses a neighbour's message: for the policy's whole hold time, or for one control step.
     pub handling: Handling,
+    /// Time that a step of the policies takes under virtual time, from the percepts to the action; zero by default. In
+    /// real time it takes what it takes.
+    pub step_takes: Span,
     /// Estimator that filters readings into a robot's state.
     pub estimator: estimation::Entry,
     /// Known delay from a measurement to the arrival of its reading, for which the estimator can compensate; `None` for
@@ -157,6 +160,7 @@ impl Trial {
             repeat: 0,
             range: None,
             handling: Handling::Hold,
+            step_takes: Span::ZERO,
             estimator: estimation::REGISTRY[0],
             sensor_delay: None,
             clamp: Clamp::Training,
@@ -168,8 +172,8 @@ impl Trial {
         }
     }
 
-    /// Makes the trial of a team file, with the policies `models`. Each host of the team makes the same trial and runs its
-    /// own part of it. An error names the wrong field.
+    /// Makes the trial of a team file, with the policies `models`. Each host of the team makes the same trial and runs
+    /// its own part of it. An error names the wrong field.
     pub fn of_host(registry: &Registry, team: &Team, models: impl Into<Models>) -> Result<Trial, TrialError> {
         let scenario = registry.scenario(&team.scenario, &team.deployment.settings())?;
         let layouts = Layouts::of_scenario(&*scenario, team.seed, team.episodes);
@@ -270,6 +274,7 @@ impl Trial {
         self.check_senses()?;
         RobotId::team(self.deployment.robots).try_for_each(|robot| self.check_policy(robot))?;
         budget::check(&self.deployment, &self.models)?;
+        self.check_handling()?;
         if let Some((_, stop)) = self.stops.iter().find(|(_, stop)| usize::from(stop.by.0) >= deployment.hosts.len()) {
             let reason = format!("there is no host {}; there are {}, from 0", stop.by.0, deployment.hosts.len());
             return Err(ConfigError::field("stops", reason));
@@ -285,7 +290,31 @@ impl Trial {
             let why = format!("it commands a yaw rate, and {robot} has a holonomic drive: it needs 'differential'");
             return Err(ConfigError::field(field, why));
         }
+        let robots = self.deployment.robots;
+        if let Some(most) = self.models.of(robot).most_robots().filter(|most| robots > *most) {
+            let why = format!("its input 'id' tells {most} robots apart, and the team has {robots}");
+            return Err(ConfigError::field(field, why));
+        }
         self.channels(robot).map(drop).map_err(|error| ConfigError::field(field, error.to_string()))
+    }
+
+    /// Checks that no message is dropped in a tick in which the policy has no step. An error names the field.
+    fn check_handling(&self) -> Result<(), ConfigError> {
+        let unequal = |robots: &Vec<u16>| {
+            let robots: Vec<RobotId> = robots.iter().copied().map(RobotId).collect();
+            robots.iter().any(|robot| self.models.every(*robot, self.models.tick(&robots)) > 1)
+        };
+        match self.deployment.hosts.iter().find(|host| host.agents.iter().any(unequal)) {
+            Some(host) if self.handling == Handling::AsPublished => {
+                let why = format!(
+                    "'as-published' is for robots that step at the same rate, and an agent of host '{}' has several; \
+                     take 'hold'",
+                    host.name
+                );
+                Err(ConfigError::field("handling", why))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Returns the name of the field that states the policy of a robot.
@@ -307,12 +336,18 @@ impl Trial {
         if place { Placement::Exact } else { self.deployment.placement }
     }
 
-    /// Returns the range within which a robot uses the messages of others: the trial's own, or that of the robot's role,
-    /// or that of its policy.
+    /// Returns the range within which a robot uses the messages of others: the trial's own, or that of the robot's
+    /// role, or that of its policy.
     pub fn comm_range(&self, robot: RobotId) -> CommRange {
         let of_role = self.deployment.role_of(robot).and_then(|(_, role)| role.radius_m);
         let radius_m = of_role.unwrap_or_else(|| self.models.of(robot).interface().radius_m);
         self.range.unwrap_or(CommRange::fixed(radius_m))
+    }
+
+    /// Returns the largest mean of the ranges within which robots use each other's messages \[m\].
+    pub fn farthest_m(&self) -> f32 {
+        let ranges = RobotId::team(self.deployment.robots).map(|robot| self.comm_range(robot).mean_m);
+        ranges.fold(0.0, f32::max)
     }
 
     /// Returns the channels of the observation that the policy of a robot takes, joined with those of the scenario and

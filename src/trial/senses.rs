@@ -9,12 +9,19 @@ use crate::observation::{Channel, builtin};
 use crate::senses::{Layout, Parts, Settings};
 
 impl Trial {
-    /// Returns the senses of a robot with their indices and names, in the order of the indices. An error names the wrong
-    /// setting.
+    /// Returns the senses of a robot with their indices and names, in the order of the indices. An error names the
+    /// wrong setting.
     pub(crate) fn senses(&self, robot: RobotId) -> Result<Vec<(u8, String, Parts)>, ConfigError> {
         let make = |(index, name, settings): (u8, &str, &Settings)| {
-            let parts = self.registry.sense(name, settings, robot);
-            Ok((index, name.to_owned(), parts.map_err(|error| error.within("senses"))?))
+            let parts = self.registry.sense(name, settings, robot).map_err(|error| {
+                let role = self.deployment.role_of(robot).filter(|(_, role)| role.senses.contains_key(name));
+                let within = error.within("senses");
+                match role {
+                    Some((role, _)) => within.within(role).within("roles"),
+                    None => within,
+                }
+            });
+            Ok((index, name.to_owned(), parts?))
         };
         self.deployment.senses_of(robot).into_iter().map(make).collect()
     }

@@ -12,7 +12,7 @@ const TEAM: [&str; 7] = ["sim", "--scenario", "swap", "--robots", "4", "--repeat
 /// Copies the example with the policies of its roles and their graphs into a folder, after `change` of the contract of
 /// the carriers, which lies in a folder of its own. Returns the path of the roles.
 fn copied(folder: &TempDir, change: impl Fn(String) -> String) -> String {
-    let (data, below) = (Path::new(ROOT).join("tests/onnx/data"), folder.path().join("carriers"));
+    let (data, below) = (Path::new(ROOT).join("tests/onnx/data"), folder.path().join("my carriers"));
     std::fs::create_dir_all(&below).expect("a folder");
     for place in [folder.path(), &below] {
         for graph in ["field-say.onnx", "field-act.onnx"] {
@@ -24,7 +24,7 @@ fn copied(folder: &TempDir, change: impl Fn(String) -> String) -> String {
     std::fs::write(below.join("carrier.policy.toml"), carrier).expect("a file");
     std::fs::copy(data.join("scout.policy.toml"), folder.path().join("scout.policy.toml")).expect("a copy");
     let roles = read(&Path::new(ROOT).join(ROLES));
-    let roles = roles.replace("../tests/onnx/data/carrier", "carriers/carrier").replace("../tests/onnx/data/", "");
+    let roles = roles.replace("../tests/onnx/data/carrier", "my carriers/carrier").replace("../tests/onnx/data/", "");
     let path = folder.path().join("roles.toml");
     std::fs::write(&path, roles).expect("a file");
     path.to_string_lossy().into_owned()
@@ -46,11 +46,19 @@ fn a_team_of_two_roles_runs_in_every_mode_and_names_the_policies() {
 fn a_record_of_roles_holds_all_policies_and_replays_alike() {
     let folder = TempDir::new().expect("a folder");
     let (roles, records) = (copied(&folder, |contract| contract), folder.path().join("records"));
+    // One policy by a path from the roles' folder with a space in it, one by a path from the root.
+    let content = std::fs::read_to_string(&roles).expect("a text");
+    let scout = folder.path().join("scout.policy.toml");
+    let content = content.replace("\"scout.policy.toml", &format!("\"{}", scout.display()));
+    assert!(content.contains("my carriers/") && content.contains(&*scout.to_string_lossy()), "{content}");
+    std::fs::write(&roles, content).expect("a file");
     let record = ["--record", &*records.to_string_lossy()];
     let output =
         run(&[&TEAM[..], &["--mode", "onboard-infra", "--roles", &roles, "--episodes", "1"], &record].concat());
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
-    for gone in [&roles, &*folder.path().join("carriers/carrier.policy.toml").to_string_lossy()] {
+    for gone in
+        [&roles, &*scout.to_string_lossy(), &*folder.path().join("my carriers/carrier.policy.toml").to_string_lossy()]
+    {
         std::fs::remove_file(gone).expect("it was there");
     }
     let output = run(&["replay", &records.join("repeat-0000.mcap").to_string_lossy()]);
@@ -78,7 +86,7 @@ fn roles_with_another_kind_of_message_are_refused_by_name() {
     let folder = TempDir::new().expect("a folder");
     let roles = copied(&folder, |contract| contract);
     let part =
-        std::fs::read_to_string(&roles).expect("a text").replace("policy = \"carriers/carrier.policy.toml\"\n", "");
+        std::fs::read_to_string(&roles).expect("a text").replace("policy = \"my carriers/carrier.policy.toml\"\n", "");
     std::fs::write(&roles, part).expect("a file");
     // Robots of a role without a policy have the team's.
     refuses(&[&TEAM[..], &["--roles", &roles]].concat(), &["error: policy: its message", "floats", "'scout'"]);

@@ -4,6 +4,7 @@
 use murmurate::chassis::{self, DriveKind};
 use murmurate::deploy::{Deployment, MODES};
 use murmurate::messages::geometry::{Motion, Vec2, is_finite};
+use murmurate::messages::ids::RobotId;
 use murmurate::observation::Observation;
 use murmurate::policy::{self, Model, Neighbour};
 use murmurate::random::Seed;
@@ -61,11 +62,13 @@ fn episodes_without_goals_last_their_time_and_have_a_cost_in_every_mode() {
             for episode in &report.episodes {
                 assert!(episode.verdict != Verdict::Aborted && episode.verdict != Verdict::Success, "{episode:?}");
                 assert_eq!((episode.makespan_s, episode.reset_s), (None, 0.0), "{mode}");
-                let tasks = trial.layouts.episode(episode.episode).iter();
+                let tasks = trial.layouts.episode(episode.episode);
+                let goals: Vec<Vec2> = tasks.iter().map(|task| task.goal).collect();
                 let team: Vec<Motion> = tasks
+                    .iter()
                     .map(|task| Motion { position: task.start, velocity: scenario.start_velocity(task) })
                     .collect();
-                let at_first = (scenario.cost().expect("it has one").of)(&team);
+                let at_first = (scenario.cost().expect("it has one").of)(&team, &goals);
                 let cost = episode.cost.expect("it has a cost");
                 assert!(cost > 0.0 && cost < 0.3 * at_first, "{mode}: {cost}, {at_first} at first");
             }
@@ -135,7 +138,7 @@ fn a_policy_is_a_function_of_its_inputs_and_random_numbers() {
         let interface = model.interface();
         assert!(interface.period > Span::ZERO && interface.hold >= interface.period);
         let act = |situation: &Situation, seed| {
-            let mut policy = model.instance(passage.arena());
+            let mut policy = model.instance(passage.arena(), RobotId(0));
             let mut features = vec![f32::NAN; interface.features];
             policy.encode(&situation.0, &mut features);
             let heard = situation.1.iter().map(|(motion, features)| Neighbour {

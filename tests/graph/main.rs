@@ -26,4 +26,5 @@ mod senses;
 mod shell;
 #[path = "../skip/mod.rs"]
 mod skip;
+mod steps;
 mod transports;

@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex};
 
 use murmurate::deploy::team::TeamFile;
 use murmurate::deploy::{Deployment, MODES, Roles, roles_of};
+use murmurate::hearing::Handling;
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::ids::RobotId;
 use murmurate::observation::{Frame, IfStale, Observation, Request, Taking, Unit};
@@ -68,7 +69,7 @@ fn model(role: f32, (period_ms, radius_m): (u64, f32)) -> (Model, Seen) {
     let origin = Origin { digest, requests, message: "roles".to_owned(), ..Origin::default() };
     let seen = Seen::default();
     let kept = Arc::clone(&seen);
-    let instance = move |_: &_, _| Box::new(Talking { role, interface, seen: Arc::clone(&kept) }) as Box<dyn Policy>;
+    let instance = move |_: &_, _, _| Box::new(Talking { role, interface, seen: Arc::clone(&kept) }) as Box<dyn Policy>;
     (Model::of_file(("talking", interface), origin, None, instance).expect("a sound interface"), seen)
 }
 
@@ -102,6 +103,18 @@ fn two_roles_run_in_every_mode_each_at_its_rate_and_hear_each_other() {
         assert!(scouts.1.contains_key(&1) && scouts.1.contains_key(&2), "{mode}: by the role's radius, {:?}", scouts.1);
         assert!(carriers.1.contains_key(&1) && !carriers.1.contains_key(&2), "{mode}: {:?}", carriers.1);
         assert_eq!(trial(mode).0.run().totals.trace, report.totals.trace, "{mode}: the same twice");
+    }
+}
+
+#[test]
+fn messages_that_are_used_once_need_one_rate_within_an_agent() {
+    for (mode, refused) in [("sim", true), ("onboard-infra", false)] {
+        let (mut trial, _) = trial(mode);
+        trial.handling = Handling::AsPublished;
+        match trial.check() {
+            Ok(()) => assert!(!refused, "{mode}"),
+            Err(error) => assert!(refused && error.to_string().starts_with("handling: "), "{mode}: {error}"),
+        }
     }
 }
 

@@ -56,7 +56,7 @@ fn model(taking: Taking) -> (Model, Arc<Mutex<Vec<Vec<f32>>>>) {
     let request = Request { input, channel: "eyes".to_owned(), shape, unit: Unit::Metre, frame, taking };
     let origin = Origin { requests: vec![request], ..Origin::default() };
     let kept = Arc::clone(&seen);
-    let instance = move |_: &_, _| Box::new(Looking(Arc::clone(&kept), false)) as Box<dyn Policy>;
+    let instance = move |_: &_, _, _| Box::new(Looking(Arc::clone(&kept), false)) as Box<dyn Policy>;
     (Model::of_file(("looking", INTERFACE), origin, None, instance).expect("a sound interface"), seen)
 }
 

@@ -2,6 +2,7 @@
 //! more than was reckoned.
 
 use murmurate::messages::geometry::{Motion, Vec2};
+use murmurate::messages::ids::RobotId;
 use murmurate::observation::Observation;
 use murmurate::policy::{self, Model, Neighbour};
 use murmurate::random::Seed;
@@ -17,7 +18,7 @@ fn a_step_of_a_network_allocates_nothing() {
     let hops = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/conv_three_hops.safetensors"));
     let hops = Model::from_file(&hops.expect("it is part of the tests"), "passage").expect("it is sound");
     for model in [policy::untrained(1), policy::untrained_full(1), hops] {
-        let mut policy = model.instance(passage.arena());
+        let mut policy = model.instance(passage.arena(), RobotId(0));
         let observation = Observation::new(Motion::at_rest(Vec2::new(0.3, -1.5)), Vec2::new(-0.2, 1.5));
         let mut features = vec![0.0; policy.interface().features];
         let heard = vec![vec![0.5; features.len()]; 4];

@@ -9,6 +9,7 @@ use murmurate::deploy::Deployment;
 use murmurate::deploy::conditions::Conditions;
 use murmurate::faults::FaultPlan;
 use murmurate::hearing::CommRange;
+use murmurate::messages::ids::RobotId;
 use murmurate::registry::Registry;
 use murmurate::trial::Trial;
 use murmurate_robot::BadInput;
@@ -45,7 +46,14 @@ pub fn range(mean_m: Option<f32>, std_m: f32, trial: &Trial) -> Result<Option<Co
     if mean_m.is_none() && std_m == 0.0 {
         return Ok(None);
     }
-    let mean_m = mean_m.unwrap_or(trial.models.radius_m());
+    let of_robot = |robot| trial.comm_range(robot).mean_m;
+    let Some(mean_m) = mean_m.or_else(|| {
+        let first = of_robot(RobotId(0));
+        RobotId::team(trial.deployment.robots).all(|robot| of_robot(robot) == first).then_some(first)
+    }) else {
+        let why = "--comm-range-std-m: robots of this team hear within different radii; give --comm-range-m, too";
+        return Err(BadInput(why.to_owned()).into());
+    };
     Ok(Some(CommRange { mean_m, std_m }))
 }
 

@@ -60,8 +60,7 @@ pub struct StageSense {
 impl Stage {
     /// Returns the stage of a trial.
     pub fn of(trial: &Trial) -> Stage {
-        let ranges = RobotId::team(trial.deployment.robots).map(|robot| trial.comm_range(robot).mean_m);
-        let range_m = ranges.fold(0.0, f32::max);
+        let range_m = trial.farthest_m();
         let senses = trial.sense_layouts().into_iter().map(|(name, layout)| StageSense {
             name,
             rays_rad: layout.sweep.map(|sweep| {

@@ -29,13 +29,19 @@ impl Files {
         let named: Vec<_> = opened.attached.iter().filter(|(name, _)| name != ACCEPTED).collect();
         let places: Vec<Place> = named.iter().map(|(name, _)| Place::of(Path::new(name))).collect();
         let up = places.iter().map(|place| place.up).max().unwrap_or(0);
+        // Stands for the names of folders that no attached file says.
+        let mut above = "above".to_owned();
+        while places.iter().any(|place| place.parts.contains(&above)) {
+            above.push('_');
+        }
         for (index, ((name, content), place)) in named.into_iter().zip(places).enumerate() {
-            let folder = place.folder(files.folder(), up);
+            let folder = place.folder(files.folder(), (up, &above));
             std::fs::create_dir_all(&folder)
                 .map_err(|error| failed(&error, &format!("cannot make '{}'", folder.display())))?;
             let last = place.parts.last().map_or("file", String::as_str);
             let path = Some(folder.join(last)).filter(|path| !path.exists());
-            let path = path.unwrap_or_else(|| folder.join(format!("{index}-{last}")));
+            let numbered = |number: usize| folder.join(format!("{number}-{last}"));
+            let path = path.or_else(|| (index..).map(numbered).find(|path| !path.exists())).expect("numbers go on");
             std::fs::write(&path, content)
                 .map_err(|error| failed(&error, &format!("cannot write '{}'", path.display())))?;
             files.files.push((name.clone(), path));
@@ -87,7 +93,7 @@ impl Files {
 struct Place {
     /// Number of folders above that in which the program ran.
     up: usize,
-    /// Names of folders from there, and of the file, with few kinds of characters.
+    /// Names of folders from there, and of the file.
     parts: Vec<String>,
 }
 
@@ -106,18 +112,19 @@ impl Place {
         place
     }
 
-    /// Returns the folder of the file within `root`, in which the program's folder is `up` folders deep.
-    fn folder(&self, root: &Path, up: usize) -> PathBuf {
-        let above = std::iter::repeat_n("up", up - self.up);
+    /// Returns the folder of the file within `root`, in which the program's folder is `up` folders deep, each of which
+    /// is called `above`.
+    fn folder(&self, root: &Path, (up, above): (usize, &str)) -> PathBuf {
+        let above = std::iter::repeat_n(above, up - self.up);
         let parents = self.parts.iter().rev().skip(1).rev();
         root.join("files").join(above.collect::<PathBuf>()).join(parents.collect::<PathBuf>())
     }
 }
 
-/// Returns a name of a file or folder with plain characters only, and at most 100 of them.
+/// Returns a name of a file or folder without control characters, of at most 60 characters: its end.
 fn plain(name: &str) -> String {
-    let plain: String = name.chars().filter(|c| c.is_ascii_alphanumeric() || "-_.".contains(*c)).collect();
-    let last = plain[plain.len().saturating_sub(100)..].to_owned();
+    let plain: Vec<char> = name.chars().filter(|c| !c.is_control()).collect();
+    let last: String = plain[plain.len().saturating_sub(60)..].iter().collect();
     // A name that was made of others' characters may have become one that leads upwards.
     if last.chars().all(|c| c == '.') { "file".to_owned() } else { last }
 }
@@ -150,12 +157,12 @@ mod tests {
         assert_eq!(files.team_file(), Some("teams/a.toml"));
         let policy = files.extracted(Path::new("../../b c.toml")).unwrap().to_owned();
         assert_eq!(std::fs::read_to_string(&policy).unwrap(), "policy");
-        assert!(policy.starts_with(files.folder()) && policy.ends_with("files/bc.toml"), "{}", policy.display());
-        let from_team = files.extracted(Path::new("teams/a.toml")).unwrap().parent().unwrap().join("../../../bc.toml");
+        assert!(policy.starts_with(files.folder()) && policy.ends_with("files/b c.toml"), "{}", policy.display());
+        let from_team = files.extracted(Path::new("teams/a.toml")).unwrap().parent().unwrap().join("../../../b c.toml");
         assert_eq!(std::fs::read_to_string(from_team).unwrap(), "policy", "files have their places to each other");
         let given = ["--team=teams/a.toml", "../../b c.toml@held", "teams/a.toml.old"].map(str::to_owned);
         let placed = files.in_place(&given);
-        assert_eq!(placed[0], format!("--team={}", files.folder().join("files/up/up/teams/a.toml").display()));
+        assert_eq!(placed[0], format!("--team={}", files.folder().join("files/above/above/teams/a.toml").display()));
         assert_eq!(placed[1], format!("{}@held", policy.display()));
         assert_eq!(placed[2], given[2]);
         drop(files);

@@ -10,11 +10,12 @@ use murmurate::deploy::{Deployment, Host};
 use murmurate::graph::devices::{self, RunBy};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::registry::Registry;
+use murmurate::trial::Trial;
 use serde_json::json;
 
-use crate::Ended;
 use crate::output::{print, talk};
 use crate::team;
+use crate::{BadInput, Ended};
 
 /// Checks a team file, or shows every value of it with its origin.
 #[derive(Subcommand)]
@@ -66,6 +67,8 @@ fn check(args: &Check, registry: &Registry) -> Result<Ended> {
         if policies.insert(team.policy.clone()) {
             let loaded = team::policy(&team, registry)?;
             loaded.warnings.iter().for_each(|warning| talk(&format!("warning: {warning}")));
+            // Whether the team has what its policies take.
+            Trial::of_host(registry, &team, loaded.models).map_err(|error| BadInput(error.to_string()))?;
         }
     }
     if seen.len() > 1 || (keys.len() > 1 && keys.contains(&None)) {

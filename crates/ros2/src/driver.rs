@@ -125,7 +125,7 @@ pub fn make(settings: &Settings, robot: RobotId) -> Result<Parts, ConfigError> {
     let (spare, checked) = (config.spare, config.clone());
     Ok(Parts {
         driver: Box::new(move || Box::new(Ros2::new(robot, &checked))),
-        worker: Some(Box::new(Supervisor { plan, spare, program: None })),
+        worker: Some(Box::new(Supervisor { plan, spare, program: None, field: "name" })),
     })
 }
 

@@ -52,7 +52,7 @@ pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<(Observation, Sup
     let name = "the observation of the team".to_owned();
     let plan = Plan { name, domain, interface, memory_mib, writers: Vec::new(), readers: Vec::new() };
     let observation = Observation::new(&prefix, robots, plan)?;
-    let worker = Supervisor { plan: observation.plan().clone(), spare: false, program: None };
+    let worker = Supervisor { plan: observation.plan().clone(), spare: false, program: None, field: "name" };
     Ok((observation, worker))
 }
 

@@ -82,7 +82,8 @@ impl Fan {
             let ahead = self.from_rad + self.step_rad * f64::from(ray) - self.yaw_rad;
             let range = nearest.to(if self.upside_down { -ahead } else { ahead }).map(|index| scan.ranges[index]);
             covered += u32::from(range.is_some());
-            unknown += u32::from(range.is_some_and(f32::is_nan));
+            let known = |range: f32| range >= scan.range_min || range == f32::NEG_INFINITY;
+            unknown += u32::from(range.is_some_and(|range| !known(range)));
             ranges_m.push(range.and_then(|range| self.distance(range, scan)));
         }
         if covered == 0 {
@@ -90,7 +91,7 @@ impl Fan {
         }
         // A scanner that fails is not an empty room.
         if covered == unknown {
-            return Err("none of its ranges is a number; see whether the scanner works");
+            return Err("none of its ranges is a known distance; see whether the scanner works");
         }
         Ok(ScanSample { stamp_ns: sec * 1_000_000_000 + u64::from(scan.header.stamp.nanosec), ranges_m })
     }

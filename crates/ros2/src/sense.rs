@@ -126,7 +126,7 @@ fn make(settings: &Settings, robot: RobotId) -> Result<Parts, ConfigError> {
     Ok(Parts {
         layout: Layout { shape: vec![rays], unit: Unit::Metre, sweep: Some(sweep) },
         sense: Box::new(move |site| Box::new(Scans::new(site.robot, rays))),
-        worker: Some(Box::new(Supervisor { plan, spare, program: None })),
+        worker: Some(Box::new(Supervisor { plan, spare, program: None, field: "kind" })),
     })
 }
 
@@ -148,6 +148,10 @@ impl Scans {
     fn topic(&mut self, state: &TopicState) {
         let mixed = || format!("it has {} publishers, whose scans take turns; end all but one", state.peers);
         let problem = if state.peers > 1 { Some(mixed()) } else { state.problem.clone() };
+        if problem.is_none() {
+            // The next one is new, even if it is that of before.
+            self.problem = None;
+        }
         let Some(problem) = problem.filter(|problem| self.problem.as_ref() != Some(problem)) else { return };
         self.problems += 1;
         // A hostile sender may change the problem all the time.

@@ -21,10 +21,10 @@ pub fn yes() -> bool {
     true
 }
 
-/// Returns an error if the program was built without the feature `ros2`, so that a driver or source for ROS 2 is
-/// refused.
-pub fn check_built() -> Result<(), ConfigError> {
-    if super::BUILT { Ok(()) } else { Err(ConfigError::field("name", super::NOT_BUILT)) }
+/// Returns an error if the program was built without the feature `ros2`, so that a driver, source or sense for ROS 2 is
+/// refused. `field` is that of its settings which names ROS 2.
+pub fn check_built(field: &str) -> Result<(), ConfigError> {
+    if super::BUILT { Ok(()) } else { Err(ConfigError::field(field, super::NOT_BUILT)) }
 }
 
 /// Checks settings of a DDS participant: its domain, network interface and memory limit \[MiB\]. The error names the

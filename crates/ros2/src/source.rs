@@ -92,7 +92,7 @@ pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigErro
     let (spare, reckons) = (config.spare, config.kind == Kind::Odometry);
     Ok(Parts {
         source: Box::new(move || Box::new(Poses { reckons, ..Poses::new(frame, &robots) })),
-        worker: Box::new(Supervisor { plan, spare, program: None }),
+        worker: Box::new(Supervisor { plan, spare, program: None, field: "name" }),
     })
 }
 

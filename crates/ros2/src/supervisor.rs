@@ -44,6 +44,8 @@ pub struct Supervisor {
     pub spare: bool,
     /// Program file whose subcommand `ros2-node` is the DDS process; `None` for the running program itself.
     pub program: Option<PathBuf>,
+    /// Field of the settings that names ROS 2, for the error of a program without it.
+    pub field: &'static str,
 }
 
 /// Output or end of a DDS process.
@@ -75,7 +77,7 @@ impl Process {
 
 impl Worker for Supervisor {
     fn check(&self) -> Result<(), ConfigError> {
-        super::settings::check_built()
+        super::settings::check_built(self.field)
     }
 
     fn claim(&self) -> Option<String> {
@@ -398,7 +400,7 @@ done
                 readers: Vec::new(),
             };
             let (gate, running) =
-                start(Box::new(Supervisor { plan, spare, program: Some(program) }), "driver 1").unwrap();
+                start(Box::new(Supervisor { plan, spare, program: Some(program), field: "name" }), "driver 1").unwrap();
             Bench { gate, running, folder }
         }
 

@@ -41,7 +41,8 @@ pub struct ScanState {
     pub robot: u16,
     /// Index of the sense among those of the robot.
     pub sense: u8,
-    /// Position of the robot's centre \[m\], world frame.
+    /// Position of the robot \[m\], world frame: of its centre in a simulation, and of its commanded point in a live
+    /// team, which is what robots report.
     pub position: Vec2,
     /// Heading of the robot \[rad\], counter-clockwise from the x axis of the world frame.
     pub heading: f32,

@@ -59,6 +59,8 @@ pub enum Out {
 /// Step that was asked for.
 #[derive(Debug)]
 struct Asked {
+    /// Time of the step.
+    at: Time,
     /// Time at which it counts as none.
     until: Time,
     round: Round,
@@ -126,7 +128,7 @@ impl Apart {
         let due = percepts.iter().map(|percept| percept.due).min().unwrap_or(now);
         let [of_step, of_tick] = self.deadlines;
         let until = (now + of_step).min(due + of_tick).max(now);
-        let asked = Asked { until, round, phase, percepts };
+        let asked = Asked { at: now, until, round, phase, percepts };
         if self.busy {
             self.miss(&asked, out);
             return;
@@ -182,7 +184,7 @@ impl Apart {
         }
     }
 
-    fn answered(&mut self, packet: &Packet, out: &mut Vec<Out>) {
+    fn answered(&mut self, now: Time, packet: &Packet, out: &mut Vec<Out>) {
         let answer: Answer = match rmp_serde::from_slice(packet) {
             Ok(answer) => answer,
             Err(error) => {
@@ -195,10 +197,9 @@ impl Apart {
             return;
         }
         self.busy = false;
-        if self.asked.take().is_none() {
-            // It was late.
-            return;
-        }
+        // Without one it was late.
+        let Some(asked) = self.asked.take() else { return };
+        tracing::debug!(step = self.number, us = now.since(asked.at).as_nanos() / 1000, "the policy has answered");
         if self.missed > 0 {
             tracing::warn!(missed = self.missed, "the policy answers again");
             self.missed = 0;
@@ -228,7 +229,7 @@ impl Core for Apart {
                     self.waiting_since.get_or_insert(now);
                 }
             }
-            In::Answer(packet) => self.answered(&packet, out),
+            In::Answer(packet) => self.answered(now, &packet, out),
             In::Ended => self.ended(out),
         }
     }
@@ -258,7 +259,7 @@ fn packet(content: &impl Serialize) -> Packet {
 ///
 /// # Panics
 /// If the packet is not a step of that part.
-fn answer(agent: &mut Agent, request: &Packet) -> Packet {
+pub(super) fn answer(agent: &mut Agent, request: &Packet) -> Packet {
     let Request { number, now, undo, modes, percepts } =
         rmp_serde::from_slice(request).expect("the control thread of this process has made it");
     if undo {
@@ -319,7 +320,7 @@ mod tests {
         fn interface(&self) -> Interface {
             Interface { features: 1, radius_m: 2.0, period: PERIOD, limit_m_s: 1.0, hold: PERIOD * 4 }
         }
-        fn reset(&mut self) {
+        fn reset(&mut self, _: u64) {
             self.steps = 0.0;
         }
         fn undo(&mut self) {
@@ -353,6 +354,7 @@ mod tests {
                 run: Box::new(Waiting { go_on: waits, steps: 0.0 }),
                 reset: Box::new(Waiting { go_on: None, steps: 0.0 }),
                 actions: stream(),
+                resets: stream(),
                 ranges: stream(),
             }
         });

@@ -1,5 +1,7 @@
 //! Robots of an Agent: their policies, and what each keeps from one step to the next.
 
+use rand::RngExt;
+
 use crate::actors::neighbours::Step;
 use crate::hearing::CommRange;
 use crate::messages::geometry::{Motion, Task, Vec2};
@@ -30,6 +32,8 @@ pub struct RobotPolicies {
     pub reset: Box<dyn Policy>,
     /// Random stream from which both policies sample their actions.
     pub actions: Stream,
+    /// Random stream of the seeds with which the policy under test begins anew.
+    pub resets: Stream,
     /// Random stream of the communication ranges between this robot and the others of the same Agent.
     pub ranges: Stream,
 }
@@ -66,11 +70,13 @@ pub(super) struct Slot {
     pub values: Vec<f32>,
     /// Times of the robot's last step in a running episode, and of the one before it; `None` if there is none.
     stepped: [Option<Time>; 2],
-    /// Number of control ticks until the next step of the policy under test.
-    wait: u32,
-    /// Velocity of the last step, and whether its latent was sound, which hold until the next step; `None` after a step
-    /// that counts as none, and before the first one.
-    held: Option<(Vec2, bool)>,
+    /// What the last step of the policy under test has made, which holds until the next one; `None` after a step that
+    /// counts as none, and before the first one.
+    held: Option<Held>,
+    /// Whether the policy under test makes its latent in `act`, as of its last step.
+    computes: bool,
+    /// Period of the policy under test.
+    period: Span,
     /// Latent features that the robot broadcasts in the current step.
     pub features: Vec<f32>,
     /// Outcome of the current step so far.
@@ -85,6 +91,17 @@ pub(super) struct Slot {
     holds: [Span; 2],
     /// Longest time between two steps after which the policy under test goes on from its state.
     forgets_after: Option<Span>,
+}
+
+/// What a step of a policy has made, which holds in the ticks until its next step.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Held {
+    /// Wanted velocity \[m/s\], policy frame.
+    pub velocity: Vec2,
+    /// Estimate of the robot's motion in that step, world frame.
+    pub motion: Motion,
+    /// Whether the step's latent is sound.
+    pub sound: bool,
 }
 
 /// Outcome of a robot's step, which decides whether it acts and what it broadcasts.
@@ -106,6 +123,7 @@ pub(super) enum Outcome {
 impl Slot {
     pub fn new(policies: RobotPolicies) -> Slot {
         let widths = [&policies.run, &policies.reset].map(|policy| policy.interface().features);
+        let period = policies.run.interface().period;
         let holds = [&policies.run, &policies.reset].map(|policy| policy.interface().hold);
         let encodings = [&policies.run, &policies.reset].map(|policy| policy.form().encoding);
         let (values, forgets_after) = (vec![0.0; policies.channels.floats()], policies.run.forgets_after());
@@ -116,8 +134,9 @@ impl Slot {
             own: Observation::new(Motion::default(), Vec2::zeros()),
             values,
             stepped: [None; 2],
-            wait: 0,
             held: None,
+            computes: false,
+            period,
             features: Vec::new(),
             outcome: Outcome::Silent,
             reported: false,
@@ -132,8 +151,8 @@ impl Slot {
         self.widths[usize::from(phase != Phase::Running)]
     }
 
-    /// Returns what decides about the messages that the robot gets in this step; `shared` has the latent features of the
-    /// Agent's robots.
+    /// Returns what decides about the messages that the robot gets in this step; `shared` has the latent features of
+    /// the Agent's robots.
     pub fn step<'a>(&self, (round, phase): (Round, Phase), shared: &'a [f32]) -> Step<'a> {
         let (range, width, frame) = (self.policies.range, self.width(phase), self.own.frame);
         let hold = self.holds[usize::from(phase != Phase::Running)];
@@ -155,6 +174,7 @@ impl Slot {
             Broadcast::Encoded | Broadcast::Nothing => {}
             Broadcast::Failed => self.fail(phase),
             Broadcast::Computed(features) => {
+                self.computes = true;
                 self.features.clear();
                 self.features.extend_from_slice(features);
                 self.check(phase);
@@ -191,51 +211,61 @@ impl Slot {
     /// Puts the policy under test back to its start, for a new episode.
     pub fn begin(&mut self) {
         self.stepped = [None; 2];
-        (self.wait, self.held) = (0, None);
-        self.policies.run.reset();
+        self.held = None;
+        self.reset();
     }
 
-    /// Returns whether the policy that is used in `phase` has a step in this control tick, and counts the tick.
-    pub fn is_due(&mut self, phase: Phase) -> bool {
-        if phase != Phase::Running {
+    fn reset(&mut self) {
+        let seed = self.policies.resets.random();
+        self.policies.run.reset(seed);
+    }
+
+    /// Returns whether the policy that is used in `phase` has a step in the control tick at `now`: its period is over,
+    /// or its last step counts as none.
+    pub fn is_due(&self, now: Time, phase: Phase) -> bool {
+        let every = u64::from(self.policies.every);
+        if phase != Phase::Running || every == 1 {
             return true;
         }
-        let due = self.wait == 0;
-        self.wait = if due { self.policies.every - 1 } else { self.wait - 1 };
-        due
+        // A tick may be early or late by less than half of the ticks' period.
+        let margin = Span::from_nanos(self.period.as_nanos() / every / 2);
+        self.stepped[0].is_none_or(|stepped| now.since(stepped) + margin >= self.period)
     }
 
-    /// Returns whether a sound latent of the last step holds in a tick without a step.
-    pub fn says(&self) -> bool {
-        self.held.is_some_and(|(_, sound)| sound)
-    }
-
-    /// Returns the velocity of the last step for a tick without one; `None` if the robot stands.
-    pub fn holds(&self) -> Option<Vec2> {
-        self.held.map(|(velocity, _)| velocity)
+    /// Returns what the last step has made, for a tick without one; `None` if the robot stands and says nothing.
+    pub fn held(&self) -> Option<Held> {
+        self.held
     }
 
     /// Keeps the velocity of this step for the ticks until the next one.
     pub fn hold(&mut self, velocity: Option<Vec2>) {
-        self.held = velocity.map(|velocity| (velocity, self.outcome == Outcome::Sound));
+        let motion = self.percept.as_ref().map(|percept| percept.estimate);
+        let sound = self.outcome == Outcome::Sound;
+        self.held = velocity.zip(motion).map(|(velocity, motion)| Held { velocity, motion, sound });
     }
 
-    /// Returns the time since the last step of the policy under test; zero if there is none.
+    /// Returns the age at `now` of the latent that the robot's Agent has: the time since the step that has made it. For
+    /// robots whose policies step in each tick it is zero, as if the latent were of this tick.
     pub fn age(&self, now: Time) -> Span {
-        self.stepped[0].map_or(Span::ZERO, |stepped| now.since(stepped))
+        let made = match self.outcome {
+            Outcome::Held => self.stepped[0],
+            _ if self.computes && self.policies.every > 1 => self.stepped[1],
+            _ => None,
+        };
+        made.map_or(Span::ZERO, |made| now.since(made))
     }
 
-    /// Notes a step of a running episode at `now`, in which the robot's task is `task` and its observation is `own`
-    /// without the values of channels, and computes these. Puts the policy back to its start if its last step is too
-    /// long ago.
-    pub fn steps(&mut self, now: Time, (task, own): (&Task, &Observation)) {
+    /// Notes a step of a running episode at `now`. The robot's task is `task`, the tasks of its team are `team`, and
+    /// its observation is `own` without the values of channels, which this computes. Puts the policy back to its start
+    /// if its last step is too long ago.
+    pub fn steps(&mut self, now: Time, (task, team): (&Task, &[Option<Task>]), own: &Observation) {
         let sensed = self.percept.as_ref().map_or(&[][..], |percept| &percept.sensed);
-        self.policies.channels.write(&Known { task, own, sensed }, &mut self.values);
+        self.policies.channels.write(&Known { task, team, own, sensed }, &mut self.values);
         let before = self.stepped[0];
         self.stepped = [Some(now), before];
         let Some((before, longest)) = before.zip(self.forgets_after) else { return };
         if now.since(before) > longest {
-            self.policies.run.reset();
+            self.reset();
         }
     }
 
@@ -244,7 +274,7 @@ impl Slot {
         if self.stepped[0] == Some(at) {
             self.stepped[0] = self.stepped[1];
             // It was not used, so nothing of it holds, and the next tick makes up for it.
-            (self.wait, self.held) = (0, None);
+            self.held = None;
             self.policies.run.undo();
         }
     }

@@ -243,7 +243,10 @@ fn rerun(
     let confined = confine(files, None);
     let trial = match identity.job {
         Some(job) => study::of_record(&arguments, (job, identity.repeat), registry)?,
-        None => sim::of_record(&arguments, identity.repeat, registry)?,
+        None => {
+            let place = |path: &Path| files.extracted(path).map(Path::to_owned);
+            sim::of_record(&arguments, identity.repeat, registry, &place)?
+        }
     };
     drop(confined);
     let compared = rerun::rerun(&trial, messages, observe, |now| {

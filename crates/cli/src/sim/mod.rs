@@ -121,14 +121,18 @@ pub struct Args {
     #[arg(long, default_value = "hold",
         value_parser = choice([("as-published", Handling::AsPublished), ("hold", Handling::Hold)]))]
     handling: Handling,
+    /// Time that a step of the policy takes [ms]; one that takes more than half of its period is late, and its robots
+    /// stand, as on real hosts
+    #[arg(long, default_value_t = 0.0)]
+    step_ms: f64,
     /// Estimator of a robot's state between its readings
     #[arg(long, default_value = "none")]
     estimator: String,
     /// Senses of the robots, such as a lidar: a file with the tables [senses.NAME] of a team file (docs/senses.md)
     #[arg(long, value_name = "FILE.toml")]
     senses: Option<PathBuf>,
-    /// Roles of the robots, with a policy, a radius, a drive or senses of their own: a file with the tables [roles.NAME] of
-    /// a team file (docs/roles.md)
+    /// Roles of the robots, with a policy, a radius, a drive or senses of their own: a file with the tables
+    /// [roles.NAME] of a team file (docs/roles.md)
     #[arg(long, value_name = "FILE.toml")]
     roles: Option<PathBuf>,
     /// Seed of all random numbers
@@ -236,7 +240,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         if args.policy.is_empty() { vec![None] } else { args.policy.iter().map(|policy| Some(&**policy)).collect() };
     // All policies are loaded first, so that errors show before the first trial runs.
     let trials: Vec<(Trial, String)> =
-        named.iter().map(|policy| trial::of_flags(args, *policy, registry)).collect::<Result<_>>()?;
+        named.iter().map(|policy| trial::of_flags(args, *policy, registry, &|_| None)).collect::<Result<_>>()?;
     args.page.check(trials.len(), args.repeats)?;
     let pictures = Pictures::open(&args.pictures, args.episodes())?;
     if trials.len() > 1 && (args.trajectories.is_some() || pictures.any() || args.record.record.is_some()) {
@@ -283,7 +287,7 @@ pub fn results_of(arguments: &[String], registry: &Registry, stop: &AtomicBool) 
     let args = found.and_then(|found| Args::from_arg_matches(&found)).map_err(|error| BadInput(error.to_string()))?;
     let ([] | [_]) = &args.policy[..] else { return bad("--policy: name one policy".to_owned()) };
     args.page.check(1, args.repeats)?;
-    let (trial, policy) = trial::of_flags(&args, args.policy.first().map(|policy| &**policy), registry)?;
+    let (trial, policy) = trial::of_flags(&args, args.policy.first().map(|policy| &**policy), registry, &|_| None)?;
     let pictures = Pictures::open(&args.pictures, args.episodes())?;
     let mut paths = args.trajectories.as_deref().map(WholeFile::create).transpose()?;
     let trials = [(trial, policy)];
@@ -369,11 +373,17 @@ fn records(args: &Args, trials: &[(Trial, String)]) -> Result<Option<Simulated>>
 }
 
 /// Returns the trial of a recorded simulation, from the recorded arguments of `sim` and the index of its repeat.
-pub fn of_record(arguments: &[String], repeat: u32, registry: &Registry) -> Result<Trial> {
+/// `place` returns the place of a file that the record has under another path.
+pub fn of_record(
+    arguments: &[String],
+    repeat: u32,
+    registry: &Registry,
+    place: &dyn Fn(&Path) -> Option<PathBuf>,
+) -> Result<Trial> {
     let wrong = |error: clap::Error| BadInput(format!("the record's arguments are not understood: {error}"));
     let command = Args::augment_args(clap::Command::new("sim"));
     let found = command.try_get_matches_from(arguments).map_err(wrong)?;
     let args = Args::from_arg_matches(&found).map_err(wrong)?;
-    let (trial, _) = trial::of_flags(&args, args.policy.first().map(|policy| &**policy), registry)?;
+    let (trial, _) = trial::of_flags(&args, args.policy.first().map(|policy| &**policy), registry, place)?;
     Ok(Trial { repeat, ..trial })
 }

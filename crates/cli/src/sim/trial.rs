@@ -1,6 +1,6 @@
 //! The trial that the flags of `murmurate sim` define.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Result;
@@ -14,8 +14,9 @@ use murmurate::messages::ids::RobotId;
 use murmurate::registry::Registry;
 use murmurate::results::totals::Steps;
 use murmurate::scenario::layout::Layouts;
-use murmurate::scenario::{ScenarioError, Settings};
+use murmurate::scenario::{Scenario, ScenarioError, Settings};
 use murmurate::senses::Settings as SenseSettings;
+use murmurate::time::Span;
 use murmurate::trial::Trial;
 use murmurate::world::{Overrides, Placement};
 use murmurate_robot::output::{read_text, talk};
@@ -80,8 +81,14 @@ fn refused(args: &Args, fitted: &Conditions, file: Option<&Deployment>, error: &
 }
 
 /// Returns the trial that the flags of `sim` define for `policy` (`None` for the scenario's default policy), and the
-/// policy's name in reports. All other trials of the policy are repeats of it.
-pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Trial, String)> {
+/// policy's name in reports. All other trials of the policy are repeats of it. `place` returns another place of a
+/// policy of a role, for a replay.
+pub fn of_flags(
+    args: &Args,
+    policy: Option<&Path>,
+    registry: &Registry,
+    place: &dyn Fn(&Path) -> Option<PathBuf>,
+) -> Result<(Trial, String)> {
     let file = args.deployment.as_deref().map(|path| conditions::deployment(path, registry)).transpose()?;
     let fitted = &given(args)?;
     let settings = settings(args, fitted, file.as_ref());
@@ -95,12 +102,7 @@ pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Resu
         None => Deployment::preset(&args.mode, scenario.robots()).expect("the parser lets only modes through"),
     };
     deployment = deployment.sized(&settings);
-    if let Some(path) = &args.senses {
-        deployment = perceiving(path, deployment, registry)?;
-    }
-    if let Some(path) = &args.roles {
-        deployment = in_roles(path, deployment, registry)?;
-    }
+    deployment = of_files(args, deployment, registry, place)?;
     check_pace(&deployment, registry)?;
     deployment = network(args, fitted, deployment)?;
     deployment.placement = args.placement.unwrap_or(deployment.placement);
@@ -117,17 +119,15 @@ pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Resu
     let mut trial = Trial::with_registry(registry, deployment, Arc::clone(&scenario), models);
     trial = trial.seed(args.seed).episodes(args.episodes());
     trial.handling = args.handling;
+    if !(0.0..=1000.0).contains(&args.step_ms) {
+        return bad(format!("--step-ms: {} is not 0 to 1000", args.step_ms));
+    }
+    trial.step_takes = Span::from_secs(args.step_ms / 1000.0);
     trial.estimator = *registry.estimator(&args.estimator).expect("the flag takes names of the registry alone");
     let safety = args.safety(trial.deployment.stepping);
     trial = physics(args, fitted, trial)?.clamp(args.clamp).safety(safety);
     if let Some(path) = &args.episodes_file {
-        let text = read_text(path, "episodes file")?;
-        trial.layouts = Layouts::from_json(&text, &*scenario, args.episodes())
-            .map_err(|e| BadInput(format!("the episodes file '{}': {e}", path.display())))?;
-        if args.placement == Some(Placement::Drive) && !trial.layouts.chained() {
-            let reason = "its episodes do not start where those before them have ended";
-            return bad(format!("--placement drive: the episodes file '{}': {reason}", path.display()));
-        }
+        trial.layouts = episodes(path, args, &*scenario)?;
     }
     // Checked without and then with the faults, so that errors name the right file.
     let place = match &args.deployment {
@@ -144,6 +144,38 @@ pub fn of_flags(args: &Args, policy: Option<&Path>, registry: &Registry) -> Resu
         trial.steps = Steps::Reported;
     }
     Ok((trial, policy))
+}
+
+/// Returns the episodes of a file.
+fn episodes(path: &Path, args: &Args, scenario: &dyn Scenario) -> Result<Layouts> {
+    let text = read_text(path, "episodes file")?;
+    let layouts = Layouts::from_json(&text, scenario, args.episodes())
+        .map_err(|e| BadInput(format!("the episodes file '{}': {e}", path.display())))?;
+    if args.placement == Some(Placement::Drive) && !layouts.chained() {
+        let reason = "its episodes do not start where those before them have ended";
+        return bad(format!("--placement drive: the episodes file '{}': {reason}", path.display()));
+    }
+    Ok(layouts)
+}
+
+/// Returns the deployment with the senses and roles of the files that the flags name. `place` returns another place of
+/// a policy of a role.
+fn of_files(
+    args: &Args,
+    mut deployment: Deployment,
+    registry: &Registry,
+    place: &dyn Fn(&Path) -> Option<PathBuf>,
+) -> Result<Deployment> {
+    if let Some(path) = &args.senses {
+        deployment = perceiving(path, deployment, registry)?;
+    }
+    if let Some(path) = &args.roles {
+        deployment = in_roles(path, deployment, registry)?;
+    }
+    for policy in deployment.roles.values_mut().filter_map(|role| role.policy.as_mut()) {
+        *policy = place(policy).unwrap_or_else(|| std::mem::take(policy));
+    }
+    Ok(deployment)
 }
 
 /// Returns the deployment with the senses of a file.

@@ -2,6 +2,7 @@
 //! `launch --watch` serves the same page.
 
 use std::cell::{Cell, RefCell};
+use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::Path;
 use std::rc::Rc;
@@ -22,12 +23,13 @@ use murmurate::graph::operator;
 use murmurate::live::links::ProcessIdentity;
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::wire::{Phase, Stop, Wire};
+use murmurate::policy::Models;
 use murmurate::registry::Registry;
 use murmurate::results::episode::Episode;
 use murmurate::runtime::clock::Clock;
 use murmurate::runtime::real::run_real;
 use murmurate::runtime::shell::Mailbox;
-use murmurate::senses::Settings;
+
 use murmurate::time::{Span, Time};
 use murmurate_record::stage::Stage;
 use murmurate_robot::output::talk;
@@ -122,7 +124,7 @@ impl Page {
         // The machine of an operator need not have the policy file. Then the communication range is unknown.
         let policy = team::policy(&some, registry).ok();
         let routes = Routes::of(deployment);
-        let range_m = policy.as_ref().map(|policy| policy.models.radius_m());
+        let range_m = policy.as_ref().map(|policy| farthest_m(deployment, &policy.models));
         let scene = Scene {
             scenario: some.scenario.clone(),
             mode: deployment.mode.clone(),
@@ -388,11 +390,23 @@ fn id(host: usize) -> HostId {
     HostId(u16::try_from(host).expect("hosts are counted in u16"))
 }
 
+/// Returns the largest distance within which a robot of the team hears others \[m\].
+fn farthest_m(deployment: &Deployment, models: &Models) -> f32 {
+    let radius_m = |robot| {
+        let of_role = deployment.role_of(robot).and_then(|(_, role)| role.radius_m);
+        of_role.unwrap_or_else(|| models.of(robot).interface().radius_m)
+    };
+    RobotId::team(deployment.robots).map(radius_m).fold(0.0, f32::max)
+}
+
 /// Returns the directions of the rays of each sense of a checked team whose values are distances along rays.
 fn scans(deployment: &Deployment, registry: &Registry) -> Vec<ScanForm> {
-    let senses = deployment.senses.iter().enumerate();
-    let form = |(at, (name, settings)): (usize, (&String, &Settings))| {
-        ScanForm::of(at, &registry.sense(name, settings, RobotId(0)).ok()?.layout)
-    };
-    senses.filter_map(form).collect()
+    let mut forms = BTreeMap::new();
+    for robot in RobotId::team(deployment.robots) {
+        for (index, name, settings) in deployment.senses_of(robot) {
+            let layout = registry.sense(name, settings, robot).ok().map(|parts| parts.layout);
+            forms.entry(index).or_insert(layout);
+        }
+    }
+    forms.into_iter().filter_map(|(index, layout)| ScanForm::of(usize::from(index), &layout?)).collect()
 }

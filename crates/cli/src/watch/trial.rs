@@ -129,7 +129,7 @@ pub fn run(
 
 /// Returns what the page shows of a trial at first: ground, walls, number of robots, links and settings.
 fn scene(trial: &Trial, policy: &str) -> Scene {
-    let range_m = trial.range.map_or(trial.models.radius_m(), |range| range.mean_m);
+    let range_m = trial.farthest_m();
     Scene {
         scenario: trial.scenario.name().to_owned(),
         mode: trial.deployment.mode.clone(),

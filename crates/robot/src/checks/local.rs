@@ -7,9 +7,11 @@ use murmurate::fitness::{Finding, Fitness};
 use murmurate::messages::ids::HostId;
 use murmurate::net::transport::Place;
 use murmurate::registry::Registry;
+use murmurate::trial::Trial;
 
 use super::finding::{Found, Subject};
-use crate::{key, own_name, policy, team};
+use crate::policy::{self, LoadedTeam};
+use crate::{BadInput, key, own_name, team};
 
 /// Checks key, policy and links of the host `team.host`.
 pub fn check(team: &Team, registry: &Registry) -> Vec<Found> {
@@ -67,7 +69,13 @@ fn check_policy(team: &Team, registry: &Registry) -> Found {
     // A key that cannot be read is the finding of its own check.
     let key = team.key_file.as_deref().and_then(|path| key::read(path).ok());
     let key = key.map(|file| file.key().confidential_if(team.confidential));
-    match team::policy(team, registry).and_then(|policy| policy::room::checked(policy, key.as_ref())) {
+    let fits = |policy: LoadedTeam| {
+        // Whether the team has what its policies take.
+        Trial::of_host(registry, team, policy.models.clone()).map_err(|error| BadInput(error.to_string()))?;
+        Ok(policy)
+    };
+    let loaded = team::policy(team, registry).and_then(|policy| policy::room::checked(policy, key.as_ref()));
+    match loaded.and_then(fits) {
         Ok(policy) if policy.warnings.is_empty() => found(Fitness::Ok, policy.name),
         Ok(policy) => found(Fitness::Warn, policy.warnings.join("; ")),
         Err(error) => found(Fitness::Fail, error.to_string()),

@@ -1,4 +1,4 @@
-//! Warnings of drivers and sources, collected for the findings about devices.
+//! Warnings of drivers, sources and senses, collected for the findings about devices.
 //!
 //! A worker logs what keeps it from its robot or its tracker, and what to do; a Localizer and a Body log what they
 //! refuse. `doctor` shows this in its finding about the robot or the source, and not in the log. The most frequent
@@ -169,9 +169,16 @@ pub fn of_driver(robot: RobotId) -> Vec<String> {
     with(|notes| notes.of_driver(robot))
 }
 
-/// Returns the collected warnings of the worker whose thread has this name.
-pub fn of_worker(thread: &str) -> Vec<String> {
-    with(|notes| notes.ranked(|note| (note.from == thread).then_some(note.text.as_str())))
+/// Returns the collected warnings about a sense of a robot, without the robot's name: those of its worker, whose thread
+/// has the name `thread`, and those about the robot.
+pub fn of_sense(robot: RobotId, thread: &str) -> Vec<String> {
+    let name = format!("{robot}: ");
+    with(|notes| {
+        notes.ranked(|note| match note.text.strip_prefix(&name) {
+            Some(rest) => Some(rest),
+            None => (note.from == thread).then_some(note.text.as_str()),
+        })
+    })
 }
 
 #[cfg(test)]

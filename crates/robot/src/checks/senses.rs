@@ -82,7 +82,7 @@ impl Heard {
         match self.measured {
             None => {
                 let said = ["no values".to_owned()].into_iter().chain(wrong).collect::<Vec<_>>().join("; ");
-                let advice = "does its program run by hand, and does it print a line for each measurement?";
+                let advice = "does what it takes its values from run, and put out one for each measurement?";
                 (Fitness::Fail, what, said, advice.to_owned())
             }
             Some((count, first, last)) => {
@@ -105,14 +105,14 @@ pub fn look(team: &Team, registry: &Registry, seconds: f64) -> Result<Vec<Found>
     let (mut gates, mut running, mut all) = (Vec::new(), Vec::new(), Vec::new());
     notes::take(true);
     for robot in host.simulates.iter().chain(&host.actuates).copied().map(RobotId) {
-        for (name, settings) in &team.deployment.senses {
+        for (_, name, settings) in team.deployment.senses_of(robot) {
             let parts = registry.sense(name, settings, robot).map_err(|error| error.within("senses"))?;
             let Some(worker) = parts.worker else { continue };
             worker.check().map_err(|error| error.within(name).within("senses"))?;
             let stream = Seed::of_run(0).stream("doctor");
             let heard = Heard {
                 robot,
-                name: name.clone(),
+                name: name.to_owned(),
                 sense: (parts.sense)(Site { robot, arena: scenario.arena(), stream }),
                 floats: parts.layout.floats(),
                 outputs: Vec::new(),
@@ -136,7 +136,10 @@ pub fn look(team: &Team, registry: &Registry, seconds: f64) -> Result<Vec<Found>
         // A worker that does not end goes with this process.
         let _ = worker.join(PATIENCE.saturating_sub(begun.elapsed()));
     }
-    Ok(all.iter().map(|heard| heard.borrow().finding(&notes::of_worker(&heard.borrow().thread()))).collect())
+    Ok(all
+        .iter()
+        .map(|heard| heard.borrow().finding(&notes::of_sense(heard.borrow().robot, &heard.borrow().thread())))
+        .collect())
 }
 
 /// Passes the packets of the workers to their senses, until each has been heard for the time `length`, the time for the

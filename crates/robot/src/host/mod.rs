@@ -4,7 +4,7 @@ mod patience;
 mod seen;
 
 use std::cell::Cell;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -145,8 +145,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         opened => opened?,
     };
     patience.end();
-    let of_roles = team.deployment.roles.values().map(|role| role.policy.clone());
-    let files = [Some(args.team.file.clone()), team.policy.clone()].into_iter().chain(of_roles).flatten().collect();
+    let files = files(&args.team.file, &team);
     let record = LiveRecord::of_host(&args.record, (&team, &live), (began, known.as_ref()), (files, &digest))?;
     seen.record.set(record).ok();
     #[cfg(feature = "watch")]
@@ -183,6 +182,12 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     outlets.close()?;
     written?;
     if interrupted { ended(&signal) } else { Ok(Ended::Done) }
+}
+
+/// Returns the files that a record of a host has: that of the team, and those of the policies.
+fn files(team_file: &Path, team: &Team) -> Vec<PathBuf> {
+    let of_roles = team.deployment.roles.values().filter_map(|role| role.policy.clone());
+    std::iter::once(team_file.to_owned()).chain(team.policy.clone()).chain(of_roles).collect()
 }
 
 /// Starts the writer of the rosters of a member with its own key file.

@@ -16,6 +16,7 @@ use crate::checkpoint::vector_instructions;
 use crate::parallel::in_parallel;
 use crate::trainer::Diverged;
 use murmurate::config::kinds::FileKind;
+use murmurate::messages::ids::RobotId;
 use murmurate::observation::PolicyFrame;
 use murmurate::policy::hops::file;
 use murmurate::policy::hops::manifest::Manifest;
@@ -164,7 +165,7 @@ impl Trainer {
         let wrong = |why: String| SetupError::Expert { name: name.clone(), why };
         let entry = registry.policy(&name).ok_or_else(|| wrong("there is no policy of this name".to_owned()))?;
         let expert = (entry.build)(&*scenario).map_err(|error: ModelError| wrong(error.to_string()))?;
-        if expert.instance(scenario.arena()).hops() > 1 {
+        if expert.instance(scenario.arena(), RobotId(0)).hops() > 1 {
             return Err(wrong("a policy of several hops is no expert".to_owned()));
         }
         let manifest = plan.config.manifest(&plan.scenario);
@@ -255,7 +256,7 @@ impl Trainer {
             let messages = if together { Messages::Lockstep } else { Messages::Late(loss) };
             let drives = stream.random_range(0.0..1.0) < expert_share;
             let driver = if drives { Driver::Expert } else { Driver::Policy };
-            let expert = Some(self.expert.instance(self.scenario.arena()));
+            let expert = Some(self.expert.instance(self.scenario.arena(), RobotId(0)));
             *recorded = Some((episode::run(self.setting(), layout, (driver, messages), expert, &mut stream), driver));
         });
         recorded.into_iter().flatten().unzip()
@@ -276,7 +277,8 @@ impl Trainer {
                 let mut found: Vec<Option<TaughtEpisode>> = vec![None; episodes as usize];
                 in_parallel(threads, found.iter_mut().enumerate(), |(index, found)| {
                     let mut stream = Seed::of_run(EVALUATION_SEED).stream(&format!("train/imitation/evaluate/{index}"));
-                    let expert = (driver == Driver::Expert).then(|| self.expert.instance(self.scenario.arena()));
+                    let expert =
+                        (driver == Driver::Expert).then(|| self.expert.instance(self.scenario.arena(), RobotId(0)));
                     let layout = (EVALUATION_SEED, index as u32);
                     *found = Some(episode::run(self.setting(), layout, (driver, messages), expert, &mut stream));
                 });
