@@ -31,7 +31,7 @@ has "$("$program" sim --scenario square --quiet 2>&1 || true)" square round pass
 
 # JaxMARL's recurrent team, whose robots have ids: docs/others.md has its return.
 spread=(sim --mode sim --scenario spread --plant mpe --policy examples/others/jaxmarl/spread.policy.toml)
-has "$("$program" "${spread[@]}" --episodes 100 --repeats 1 --quiet)" 'lack of reward' '100 of 100'
+has "$("$program" "${spread[@]}" --episodes 100 --repeats 1 --quiet --json)" 'lack of reward' '"completed":100'
 has "$("$program" sim --scenario swap --policy examples/others/jaxmarl/spread.policy.toml --quiet 2>&1 || true)" \
     "its input 'id' tells 3 robots apart, and the team has 8"
 
