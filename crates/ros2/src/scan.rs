@@ -242,7 +242,11 @@ mod tests {
         let odd = [f32::INFINITY, f32::NEG_INFINITY, f32::NAN, 0.0];
         assert_eq!(taken(&fan, &with(odd)), [NO_ECHO, 0.2, NO_ECHO, NO_ECHO]);
         assert_eq!(taken(&fan, &with([5.0, 5.1, 8.1, -1.0])), [5.0, NO_ECHO, NO_ECHO, NO_ECHO]);
-        assert!(fan.take(&with([f32::NAN; 4])).is_err_and(|why| why.contains("none of its ranges is a number")));
+        for broken in [[f32::NAN; 4], [0.0; 4], [f32::NAN, 0.0, 0.1, f32::NAN]] {
+            let refused =
+                fan.take(&with(broken)).is_err_and(|why| why.contains("none of its ranges is a known distance"));
+            assert!(refused, "{broken:?}");
+        }
         assert_eq!(taken(&fan, &with([NO_ECHO; 4])), [NO_ECHO; 4], "an empty room");
     }
 

@@ -211,7 +211,7 @@ mod tests {
     #[test]
     fn a_sense_whose_program_prints_nothing_or_another_form_is_not_fit() {
         let (status, _, said, advice) = &findings("sleep 60")[0];
-        assert!(*status == Fitness::Fail && said == "no values" && advice.contains("by hand"), "{said}");
+        assert!(*status == Fitness::Fail && said == "no values" && advice.contains("put out one for each"), "{said}");
         let (status, _, said, _) = &findings("echo \"{\\\"stamp_s\\\": 1, \\\"values\\\": [1]}\"; sleep 60")[0];
         assert!(*status == Fitness::Fail && said.contains("it puts out 1, and its form has 2"), "{said}");
     }
