@@ -41,19 +41,19 @@ struct Onnxruntime {
     outputs: Vec<String>,
 }
 
+/// Makes a session that runs a graph on one thread: with several, sums could come in another order.
+fn session(bytes: &[u8]) -> Result<Session, String> {
+    let builder = Session::builder().map_err(|error| error.to_string())?;
+    let builder = builder.with_intra_threads(1).map_err(|error| error.to_string())?;
+    let builder = builder.with_inter_threads(1).map_err(|error| error.to_string())?;
+    let builder = builder.with_deterministic_compute(true).map_err(|error| error.to_string())?;
+    let builder = builder.with_optimization_level(GraphOptimizationLevel::Level3).map_err(|error| error.to_string());
+    builder?.commit_from_memory(bytes).map_err(|error| error.to_string())
+}
+
 /// Loads a graph from the content of an ONNX file.
 pub fn load(bytes: &[u8], inputs: &[String], outputs: &[String]) -> Result<Arc<dyn Engine>, String> {
-    let failed = |error: String| format!("the engine cannot load it: {}", line(&error));
-    let session = Session::builder()
-        .map_err(|error| failed(error.to_string()))?
-        // With several threads, sums could come in another order.
-        .with_intra_threads(1)
-        .and_then(|builder| builder.with_inter_threads(1))
-        .and_then(|builder| builder.with_deterministic_compute(true))
-        .and_then(|builder| builder.with_optimization_level(GraphOptimizationLevel::Level3))
-        .map_err(|error| failed(error.to_string()))?
-        .commit_from_memory(bytes)
-        .map_err(|error| failed(error.to_string()))?;
+    let session = session(bytes).map_err(|error| format!("the engine cannot load it: {}", line(&error)))?;
     let (inputs, outputs) = (inputs.to_vec(), outputs.to_vec());
     Ok(Arc::new(Onnxruntime { session: Mutex::new(session), inputs, outputs }))
 }
