@@ -25,7 +25,7 @@ use murmurate_replay::files::Files;
 use murmurate_replay::fitness::{self, Unfit, Wanted};
 use murmurate_replay::{ReplayError, host, rerun};
 use murmurate_robot::output::{self, Confined, print, talk};
-use murmurate_robot::{BadInput, Ended, bad};
+use murmurate_robot::{BadInput, Ended, bad, policy};
 
 /// Replays records of simulations and of hosts, and checks that every bit is the same.
 #[derive(clap::Args)]
@@ -202,6 +202,7 @@ fn check(args: &Args, path: &Path, Opened { identity, messages, .. }: &Opened) -
         talk(&format!("warning: '{at}' was made by another build ({theirs}; this is {this}) and may differ for that"));
     }
     // Of a host the answers of the engine are in the record.
+    policy::onnx::open_library()?;
     let (theirs, this) = (&identity.engine, murmurate_onnx::engine::about());
     let is_of_a_graph = !theirs.is_empty() && !theirs.starts_with(murmurate_onnx::network::PYTHON);
     if identity.is_of_simulation() && is_of_a_graph && *theirs != this {

@@ -87,8 +87,8 @@ fn is_beside(file: &str) -> bool {
     plain && file.len() <= 100 && !file.starts_with('.') && !file.is_empty()
 }
 
-/// Opens the library of onnxruntime that a variable names, for all graphs of this process.
-fn open_library() -> Result<()> {
+/// Opens the library of onnxruntime that a variable names, for all graphs of this process. An error names the variable.
+pub fn open_library() -> Result<()> {
     let Some(path) = std::env::var_os(LIBRARY) else { return Ok(()) };
     let opened = murmurate_onnx::engine::open(Path::new(&path));
     opened.map_err(|why| BadInput(format!("{LIBRARY}: '{}': {why}", Path::new(&path).display())).into())
