@@ -194,6 +194,7 @@ impl Robot {
     fn fail(&mut self, why: &str) {
         // Robots of the same Agent would hear the message of an older step as if it were new.
         (self.progress, self.memory.is_new) = (Progress::Failed, false);
+        tracing::debug!(why, "a step of {} counts as none", self.robot);
         if !self.reported {
             self.reported = true;
             self.failures += 1;
