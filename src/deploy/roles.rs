@@ -5,15 +5,14 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use super::senses::check_name;
 use super::{Deployment, Senses};
 use crate::chassis;
 use crate::config::{self, ConfigError};
 use crate::messages::ids::RobotId;
+use crate::policy::Models;
 use crate::registry::Registry;
 use crate::senses::Settings as SenseSettings;
-
-/// Longest name of a role \[characters\].
-const MAX_NAME: usize = 40;
 
 /// Settings of the robots of one role; those that are left out are the team's.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -94,6 +93,12 @@ impl Deployment {
         found.map(|(name, role)| (name.as_str(), role))
     }
 
+    /// Returns the distance within which a robot hears its neighbours \[m\]: that of its role, or that of its policy.
+    pub fn radius_m(&self, robot: RobotId, models: &Models) -> f32 {
+        let of_role = self.role_of(robot).and_then(|(_, role)| role.radius_m);
+        of_role.unwrap_or_else(|| models.of(robot).interface().radius_m)
+    }
+
     /// Returns the names of the senses of any robot. The index of a sense in messages is its place among them.
     pub fn sense_names(&self) -> BTreeSet<&str> {
         let own = self.roles.values().flat_map(|role| role.senses.keys());
@@ -117,11 +122,7 @@ impl Deployment {
                 let error = ConfigError::field(field, why);
                 Err(error.within(name).within("roles"))
             };
-            let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
-            if name.is_empty() || name.len() > MAX_NAME || !name.chars().all(plain) {
-                let why = format!("a name is 1 to {MAX_NAME} of a-z, 0-9, '-' and '_'");
-                return Err(ConfigError::field(format!("roles.{name}"), why));
-            }
+            check_name("roles", name)?;
             if robots.is_empty() {
                 return wrong("robots", "no robot has the role; name some, or leave it out".to_owned());
             }

@@ -9,8 +9,18 @@ use crate::messages::wire::Kind;
 use crate::registry::Registry;
 use crate::senses::MAX_SENSES;
 
-/// Longest name of a sense \[characters\].
+/// Longest name of a sense or a role \[characters\].
 const MAX_NAME: usize = 40;
+
+/// Checks a name in the table `table`. The error names the field.
+pub(super) fn check_name(table: &str, name: &str) -> Result<(), ConfigError> {
+    let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
+    if (1..=MAX_NAME).contains(&name.len()) && name.chars().all(plain) {
+        return Ok(());
+    }
+    let why = format!("a name is 1 to {MAX_NAME} of a-z, 0-9, '-' and '_'");
+    Err(ConfigError::field(format!("{table}.{name}"), why))
+}
 
 /// Reads the tables `senses` of a file that has nothing else (TOML). An error names the line or the field.
 pub fn senses_of(text: &str) -> Result<Senses, ConfigError> {
@@ -68,13 +78,6 @@ impl Deployment {
             let why = format!("{} of them; a team has at most {MAX_SENSES}", names.len());
             return Err(ConfigError::field("senses", why));
         }
-        let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
-        match names.iter().find(|name| name.is_empty() || name.len() > MAX_NAME || !name.chars().all(plain)) {
-            None => Ok(()),
-            Some(name) => {
-                let why = format!("a name is 1 to {MAX_NAME} of a-z, 0-9, '-' and '_'");
-                Err(ConfigError::field(format!("senses.{name}"), why))
-            }
-        }
+        names.iter().try_for_each(|name| check_name("senses", name))
     }
 }

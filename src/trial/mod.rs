@@ -339,9 +339,7 @@ impl Trial {
     /// Returns the range within which a robot uses the messages of others: the trial's own, or that of the robot's
     /// role, or that of its policy.
     pub fn comm_range(&self, robot: RobotId) -> CommRange {
-        let of_role = self.deployment.role_of(robot).and_then(|(_, role)| role.radius_m);
-        let radius_m = of_role.unwrap_or_else(|| self.models.of(robot).interface().radius_m);
-        self.range.unwrap_or(CommRange::fixed(radius_m))
+        self.range.unwrap_or(CommRange::fixed(self.deployment.radius_m(robot, &self.models)))
     }
 
     /// Returns the largest mean of the ranges within which robots use each other's messages \[m\].

@@ -33,7 +33,7 @@ pub fn graph(bytes: &[u8]) -> bool {
     Structure::read(bytes).is_ok_and(|structure| structure.check(&contract, Role::Step).is_ok())
 }
 
-/// What a process of a policy in Python says: its greeting and the outputs of a call, each in a frame.
+/// Frames of the process of a policy in Python: its greeting and the outputs of a call.
 pub fn python(bytes: &[u8]) -> bool {
     let contract = Contract::parse(include_str!("../onnx/data/recurrent.policy.toml")).expect("it is sound");
     let (_, outputs) = ports(&contract, Role::Step);

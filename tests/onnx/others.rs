@@ -24,7 +24,7 @@ struct Step {
     robots: Vec<Robot>,
 }
 
-/// What one robot is given and answers.
+/// Inputs and answers of one robot.
 #[derive(Deserialize)]
 struct Robot {
     /// Inputs by their names, without the axis of robots.

@@ -155,11 +155,16 @@ mod tests {
         let opened = Opened { attached: attached.to_vec(), ..reader::open(&path).unwrap() };
         let files = Files::extract(&opened).unwrap();
         assert_eq!(files.team_file(), Some("teams/a.toml"));
-        let policy = files.extracted(Path::new("../../b c.toml")).unwrap().to_owned();
+        let policy = files.extracted(Path::new("../../b c.toml")).expect("it is attached").to_owned();
         assert_eq!(std::fs::read_to_string(&policy).unwrap(), "policy");
         assert!(policy.starts_with(files.folder()) && policy.ends_with("files/b c.toml"), "{}", policy.display());
-        let from_team = files.extracted(Path::new("teams/a.toml")).unwrap().parent().unwrap().join("../../../b c.toml");
-        assert_eq!(std::fs::read_to_string(from_team).unwrap(), "policy", "files have their places to each other");
+        let from_team =
+            files.extracted(Path::new("teams/a.toml")).expect("it is attached").with_file_name("../../../b c.toml");
+        assert_eq!(
+            std::fs::read_to_string(from_team).expect("it is there"),
+            "policy",
+            "files have their places to each other"
+        );
         let given = ["--team=teams/a.toml", "../../b c.toml@held", "teams/a.toml.old"].map(str::to_owned);
         let placed = files.in_place(&given);
         assert_eq!(placed[0], format!("--team={}", files.folder().join("files/above/above/teams/a.toml").display()));

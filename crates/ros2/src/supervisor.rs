@@ -400,7 +400,8 @@ done
                 readers: Vec::new(),
             };
             let (gate, running) =
-                start(Box::new(Supervisor { plan, spare, program: Some(program), field: "name" }), "driver 1").unwrap();
+                start(Box::new(Supervisor { plan, spare, program: Some(program), field: "name" }), "driver 1")
+                    .expect("a thread can be started");
             Bench { gate, running, folder }
         }
 

@@ -70,7 +70,7 @@ pub(super) struct Slot {
     pub values: Vec<f32>,
     /// Times of the robot's last step in a running episode, and of the one before it; `None` if there is none.
     stepped: [Option<Time>; 2],
-    /// What the last step of the policy under test has made, which holds until the next one; `None` after a step that
+    /// Result of the last step of the policy under test, which holds until the next one; `None` after a step that
     /// counts as none, and before the first one.
     held: Option<Held>,
     /// Whether the policy under test makes its latent in `act`, as of its last step.
@@ -93,7 +93,7 @@ pub(super) struct Slot {
     forgets_after: Option<Span>,
 }
 
-/// What a step of a policy has made, which holds in the ticks until its next step.
+/// Result of a step of a policy, which holds in the ticks until its next step.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Held {
     /// Wanted velocity \[m/s\], policy frame.

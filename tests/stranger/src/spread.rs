@@ -121,7 +121,7 @@ mod tests {
 
     #[test]
     fn the_scenario_keeps_the_contract_of_scenarios() {
-        murmurate::scenario::contract::check(&SPREAD).unwrap();
+        murmurate::scenario::contract::check(&SPREAD).expect("it keeps the contract");
     }
 
     #[test]

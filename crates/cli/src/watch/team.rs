@@ -392,11 +392,7 @@ fn id(host: usize) -> HostId {
 
 /// Returns the largest distance within which a robot of the team hears others \[m\].
 fn farthest_m(deployment: &Deployment, models: &Models) -> f32 {
-    let radius_m = |robot| {
-        let of_role = deployment.role_of(robot).and_then(|(_, role)| role.radius_m);
-        of_role.unwrap_or_else(|| models.of(robot).interface().radius_m)
-    };
-    RobotId::team(deployment.robots).map(radius_m).fold(0.0, f32::max)
+    RobotId::team(deployment.robots).map(|robot| deployment.radius_m(robot, models)).fold(0.0, f32::max)
 }
 
 /// Returns the directions of the rays of each sense of a checked team whose values are distances along rays.
