@@ -5,7 +5,7 @@
 * :func:`study`: studies, in one process, in several, or on a Ray cluster.
 * :func:`export`: policies of PyTorch and PyTorch Geometric as policy files.
 * :func:`export_graph`: any PyTorch module as a policy, an ONNX graph with a contract.
-* :class:`Policy`: policies in Python, in simulation and on robots.
+* :class:`Policy`: policies in Python, in simulation and on robots; :func:`trained`: a model of any trainer as one.
 * :func:`train` and :func:`sweep`: trainings of the program, and many of them.
 * :mod:`murmurate.pettingzoo`, :mod:`murmurate.gymnasium`, :mod:`murmurate.torchrl`, :mod:`murmurate.benchmarl`: the same
   environments for other tools.
@@ -17,6 +17,7 @@ from ._module import VecEnv, __version__
 from ._sim import Results, sim
 from ._study import Study, study
 from ._train import Training, sweep, train
+from ._trained import trained
 from .policy import Inputs, Outputs, Policy
 
 __all__ = [
@@ -34,4 +35,5 @@ __all__ = [
     "study",
     "sweep",
     "train",
+    "trained",
 ]

@@ -14,6 +14,15 @@ from ._module import VecEnv
 NO_MESSAGES = dict.fromkeys(("message", "message_size"), "no messages arrive here; take VecEnv or murmurate.torchrl.Env")
 
 
+def seen(core: VecEnv, *, last: bool = False) -> np.ndarray:
+    """Returns a copy of what each robot observes (N, R, F + K): its observation, and the K distances of its lidar, if it has one.
+
+    With ``last`` it is that before an automatic reset.
+    """
+    obs, scan = (core.last_obs, core.last_scan) if last else (core.obs, core.scan)
+    return np.concatenate((obs, scan), axis=2) if scan.shape[2] else obs.copy()
+
+
 def refuse(options: Mapping[str, Any], why: Mapping[str, str]) -> None:
     """Raises a ValueError for the first option that a face does not take, with the reason."""
     for name, reason in why.items():

@@ -9,7 +9,7 @@ import pathlib
 import socket
 import tempfile
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 
@@ -18,18 +18,33 @@ def is_object(policy: Any) -> bool:
     return policy is not None and not isinstance(policy, (str, os.PathLike))
 
 
+def is_factory(policy: Any) -> bool:
+    """Returns whether a policy is a factory: called without arguments, it makes a policy object."""
+    return callable(policy) and not any(hasattr(policy, name) for name in ("step", "encode"))
+
+
 @contextlib.contextmanager
-def served(policy: Any) -> Iterator[pathlib.Path]:
-    """Serves a policy object, and yields the file by which the program finds it. Its attribute ``contract`` is the contract.
+def served(policy: Any) -> Iterator[tuple[pathlib.Path, str]]:
+    """Serves a policy object, or one of a factory for each job; yields the file by which the program finds it, and its name.
+
+    The attribute ``contract`` of the object is the contract.
 
     Raises:
         ValueError: It has no contract.
     """
-    contract = getattr(policy, "contract", None)
-    if not isinstance(contract, Mapping):
+    first = policy() if is_factory(policy) else policy
+    made = [first]
+
+    def make() -> Any:
+        if not is_factory(policy):
+            return policy
+        return made.pop() if made else policy()
+
+    contract = getattr(first, "contract", None)
+    if not isinstance(contract, Mapping) or isinstance(first, type):
         raise ValueError(
-            "policy: the object has no contract: give it an attribute 'contract', a dict with the fields of "
-            "docs/policy-format-3.md without 'graph'"
+            "policy: the object has no contract: give an object with an attribute 'contract', a dict with the fields of "
+            "docs/policy-format-3.md without 'graph', or a function without arguments that returns such objects"
         )
     with tempfile.TemporaryDirectory() as folder, socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
         address = os.path.join(folder, "policy")
@@ -37,24 +52,29 @@ def served(policy: Any) -> Iterator[pathlib.Path]:
         listener.listen()
         file = pathlib.Path(folder, "object.policy.toml")
         file.write_text(json.dumps({"format": 3, **contract, "python": f"unix:{address}"}))
-        thread = threading.Thread(target=_answer, args=(listener, policy), daemon=True)
+        thread = threading.Thread(target=_accept, args=(listener, make), daemon=True)
         thread.start()
         try:
-            yield file
+            yield file, str(contract.get("name", ""))
         finally:
             # A thread that waits for a connection ends with the socket.
             with contextlib.suppress(OSError):
                 listener.shutdown(socket.SHUT_RDWR)
 
 
-def _answer(listener: socket.socket, policy: Any) -> None:
-    # Not with the package: it is a program of its own, too.
-    from .serve import serve
-
+def _accept(listener: socket.socket, make: Callable[[], Any]) -> None:
+    """Answers each connection, which is that of one job, on a thread of its own."""
     while True:
         try:
             stream, _ = listener.accept()
         except OSError:
             return
-        with stream, contextlib.suppress(OSError):
-            serve(lambda _contract: policy, stream)
+        threading.Thread(target=_answer, args=(stream, make), daemon=True).start()
+
+
+def _answer(stream: socket.socket, make: Callable[[], Any]) -> None:
+    # Not with the package: it is a program of its own, too.
+    from .serve import serve
+
+    with stream, contextlib.suppress(OSError):
+        serve(lambda _contract: make(), stream)

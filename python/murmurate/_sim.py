@@ -9,7 +9,7 @@ from typing import Any
 
 from ._module import sim_json
 from ._program import child_of, words_of
-from ._served import is_object, served
+from ._served import is_factory, is_object, served
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,17 +65,19 @@ def sim(
 
     Args:
         scenario: Task of the team.
-        policy: Name in the registry, a policy file, or an object such as a :class:`Policy` with an attribute
-            ``contract``; None takes the shipped policy. An object is asked by one job.
+        policy: Name in the registry, a policy file, an object such as a :class:`Policy` with an attribute ``contract``,
+            which is asked by one job, or a function without arguments that makes such an object for each job; None takes
+            the shipped policy. One call has the inputs of all robots of an agent: in mode sim, of the team.
         mode: Mode of the paper: sim, centralized, offboard, onboard-infra, onboard-adhoc.
 
     Raises:
         ValueError: A flag or a file is wrong; the message names it.
     """
     if is_object(policy):
-        flags.setdefault("jobs", 1)
-        with served(policy) as file:
-            return dataclasses.replace(sim(scenario, file, mode, **flags), policy=policy.contract.get("name", ""))
+        if not is_factory(policy) and flags.setdefault("jobs", 1) != 1:
+            raise ValueError("jobs: an object is asked by one job; give a function that makes one for each job")
+        with served(policy) as (file, name):
+            return dataclasses.replace(sim(scenario, file, mode, **flags), policy=name)
     if "deployment" not in flags:
         flags["mode"] = mode
     words = ["--scenario", scenario]

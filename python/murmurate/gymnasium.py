@@ -1,6 +1,7 @@
 """Teams as environments of Gymnasium (``pip install gymnasium``), for trainings with one flat policy a team.
 
-Observations and actions of a team's robots are joined; the reward is the mean of theirs. Once this module is imported,
+Observations and actions of a team's robots are joined; the reward is the mean of theirs. With a lidar (``senses``) its distances
+follow each robot's observation. Once this module is imported,
 ``gymnasium.make`` and ``gymnasium.make_vec`` know ``murmurate/Passage-v0``, ``murmurate/Swap-v0`` and
 ``murmurate/Flocking-v0``; ``gymnasium.make("murmurate.gymnasium:murmurate/Passage-v0")`` imports it.
 """
@@ -15,7 +16,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from ._faces import NO_MESSAGES, Begun, action_of, refuse
+from ._faces import NO_MESSAGES, Begun, action_of, refuse, seen
 from ._module import VecEnv
 
 #: Treatment of an ended episode, as Gymnasium names it.
@@ -33,7 +34,8 @@ NAMES = {"passage": "murmurate/Passage-v0", "swap": "murmurate/Swap-v0", "flocki
 def _spaces(core: VecEnv, first: tuple[int, ...] = ()) -> tuple[spaces.Box, spaces.Box]:
     """Spaces of a whole team's observations and actions."""
     robots, limit = core.num_robots, core.limit_m_s
-    observed = spaces.Box(-np.inf, np.inf, (*first, robots * core.obs.shape[2]), np.float32)
+    floats = core.obs.shape[2] + core.scan.shape[2]
+    observed = spaces.Box(-np.inf, np.inf, (*first, robots * floats), np.float32)
     return observed, spaces.Box(-limit, limit, (*first, 2 * robots), np.float32)
 
 
@@ -91,7 +93,7 @@ class TeamVectorEnv(VectorEnv):
         mask = (options or {}).get("reset_mask")
         self._begun.reset(seed, mask)
         self._ended &= False if mask is None else ~mask
-        return self._flat(self.core.obs), {}
+        return self._flat(seen(self.core)), {}
 
     def step(self, actions: np.ndarray):
         """Advances all environments.
@@ -113,18 +115,18 @@ class TeamVectorEnv(VectorEnv):
         infos: dict[str, Any] = {"arrived": core.arrived.copy(), "_arrived": np.ones(self.num_envs, bool)}
         if self._mode is AutoresetMode.SAME_STEP:
             if self._ended.any():
-                infos["final_obs"], infos["_final_obs"] = self._flat(core.last_obs), self._ended
+                infos["final_obs"], infos["_final_obs"] = self._flat(seen(core, last=True)), self._ended
                 infos["final_info"] = {"arrived": core.arrived.copy(), "_arrived": self._ended}
                 infos["_final_info"] = self._ended
             self._ended = np.zeros(self.num_envs, bool)
-        return self._flat(core.obs), core.reward.mean(axis=1, dtype=np.float64), terminated, truncated, infos
+        return self._flat(seen(core)), core.reward.mean(axis=1, dtype=np.float64), terminated, truncated, infos
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Pictures of all environments, each (height, width, 3), with ``render_mode="rgb_array"``."""
         return tuple(map(self.core.render, range(self.num_envs))) if self.render_mode else None
 
     def _flat(self, values: np.ndarray) -> np.ndarray:
-        return values.reshape(self.num_envs, -1).copy()
+        return values.reshape(self.num_envs, -1)
 
 
 class TeamEnv(gymnasium.Env):
@@ -160,7 +162,7 @@ class TeamEnv(gymnasium.Env):
         super().reset(seed=seed)
         self._begun.reset(seed)
         self._over = False
-        return self.core.obs.reshape(-1).copy(), {}
+        return seen(self.core).reshape(-1), {}
 
     def step(self, action: np.ndarray):
         """Advances the team.
@@ -177,7 +179,7 @@ class TeamEnv(gymnasium.Env):
         terminated, truncated = bool(core.terminated[0]), bool(core.truncated[0])
         self._over = terminated or truncated
         infos = {"arrived": core.arrived[0].copy()}
-        return core.obs.reshape(-1).copy(), float(core.reward.mean(dtype=np.float64)), terminated, truncated, infos
+        return seen(core).reshape(-1), float(core.reward.mean(dtype=np.float64)), terminated, truncated, infos
 
     def render(self) -> np.ndarray | None:
         """Picture of the team (height, width, 3), with ``render_mode="rgb_array"``."""

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from ._faces import NO_MESSAGES, Begun, action_of, refuse
+from ._faces import NO_MESSAGES, Begun, action_of, refuse, seen
 from ._module import VecEnv
 
 #: Arguments of :class:`murmurate.VecEnv` that are not for this face, and why.
@@ -21,7 +21,7 @@ NOT_HERE = NO_MESSAGES | {
 
 
 class parallel_env(ParallelEnv):
-    """One team; the agents are its robots, ``robot_0`` and so on.
+    """One team; the agents are its robots, ``robot_0`` and so on. With a lidar (``senses``) its distances follow the observation.
 
     Arguments are those of :class:`murmurate.VecEnv`, without ``num_envs``, ``threads``, ``autoreset`` and ``message``. With
     ``seed=None``, the default, the seed is drawn. ``core`` is the :class:`murmurate.VecEnv` within.
@@ -51,7 +51,7 @@ class parallel_env(ParallelEnv):
         limit = self.core.limit_m_s
         # One space an agent, as each has a random stream of its own.
         self.observation_spaces = {
-            agent: spaces.Box(-np.inf, np.inf, self.core.obs.shape[2:], np.float32) for agent in self.possible_agents
+            agent: spaces.Box(-np.inf, np.inf, seen(self.core).shape[2:], np.float32) for agent in self.possible_agents
         }
         self.action_spaces = {agent: spaces.Box(-limit, limit, (2,), np.float32) for agent in self.possible_agents}
         self._was_reset, self._steps = False, 0
@@ -66,7 +66,7 @@ class parallel_env(ParallelEnv):
         self._begun.reset(seed, abandoned=self._steps > 0 and bool(self.agents))
         self._was_reset, self._steps = True, 0
         self.agents = list(self.possible_agents)
-        return self._by_agent(self.core.obs[0].copy()), {agent: {} for agent in self.agents}
+        return self._by_agent(seen(self.core)[0]), {agent: {} for agent in self.agents}
 
     def step(self, actions: dict[str, np.ndarray]):
         """Advances the team. After the end of an episode, and without actions, it returns five empty dictionaries.
@@ -85,7 +85,7 @@ class parallel_env(ParallelEnv):
         self._steps += 1
         ended, over = bool(core.terminated[0]), bool(core.truncated[0])
         result = (
-            self._by_agent(core.obs[0].copy()),
+            self._by_agent(seen(core)[0]),
             self._by_agent(core.reward[0].tolist()),
             dict.fromkeys(agents, ended),
             dict.fromkeys(agents, over),

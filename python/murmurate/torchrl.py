@@ -21,7 +21,7 @@ class Env(EnvBase):
 
     Keys are ``("agents", "observation")`` (N, R, F), ``("agents", "action")`` (N, R, 2), ``("agents", "reward")``
     (N, R, 1), and with messages ``("agents", "heard")``, ``("agents", "age")`` (N, R, R), ``("agents", "said")``
-    (N, R, R, M), by receiver and then by sender. With ``message="action"`` the policy also writes
+    (N, R, R, M), by receiver and then by sender, and with a lidar (``senses``) ``("agents", "scan")`` (N, R, K). With ``message="action"`` the policy also writes
     ``("agents", "message")`` (N, R, M). Arguments are those of :class:`murmurate.VecEnv`, without ``autoreset``. With
     ``seed=None``, the default, the seed is drawn. ``core`` is the :class:`murmurate.VecEnv` within. The environment runs on
     the processor; with ``.to(device)`` its tensors are on that device.
@@ -50,6 +50,8 @@ class Env(EnvBase):
         self.group_map = {"agents": [f"robot_{robot}" for robot in range(r)]}
         observed: dict[str, Any] = {"observation": Unbounded((n, r, f))}
         acted: dict[str, Any] = {"action": Bounded(-core.limit_m_s, core.limit_m_s, (n, r, 2))}
+        if core.scan.shape[2]:
+            observed["scan"] = Unbounded((n, r, core.scan.shape[2]))
         if self._message:
             m = core.said.shape[3]
             observed["heard"] = Binary(n=r, shape=(n, r, r), dtype=torch.bool)
@@ -74,8 +76,9 @@ class Env(EnvBase):
         self._begun.reset(None if seed is None else int(seed))
 
     def _seen(self) -> dict[str, torch.Tensor]:
-        names = {"observation": "obs"} | ({name: name for name in ("heard", "age", "said")} if self._message else {})
-        return {key: torch.from_numpy(getattr(self.core, name)).clone() for key, name in names.items()}
+        names = ["scan"] * bool(self.core.scan.shape[2]) + ["heard", "age", "said"] * bool(self._message)
+        keys = {"observation": "obs"} | {name: name for name in names}
+        return {key: torch.from_numpy(getattr(self.core, name)).clone() for key, name in keys.items()}
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
         mask = tensordict.get("_reset", None) if tensordict is not None else None

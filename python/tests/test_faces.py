@@ -339,3 +339,48 @@ def test_a_tool_that_tries_an_environment_with_a_seed_leaves_it_its_own_numbers(
     # A seed that is used in earnest is one: with the first reset, through an episode to its end, or by set_seed of TorchRL.
     for steps, first in ((1, False), (10, True), (0, True)):
         assert np.array_equal(tried(steps, first), tried(steps, first)), (steps, first)
+
+
+@pytest.fixture
+def lidar(tmp_path):
+    """Options of teams of which each robot has a lidar of eight rays."""
+    file = tmp_path / "lidar.toml"
+    file.write_text('[senses.eyes]\nkind = "lidar"\nrays = 8\nrange_m = 2.0\n')
+    return {"senses": file, "episode_s": 1.0, "seed": 3}
+
+
+def test_gymnasium_hands_on_the_distances_of_a_lidar(lidar):
+    need("gymnasium")
+    from murmurate.gymnasium import TeamVectorEnv
+
+    env = TeamVectorEnv("passage", 2, **lidar)
+    obs, _ = env.reset()
+    rows = obs.reshape(2, env.core.num_robots, -1)
+    assert np.array_equal(rows[..., :-8], env.core.obs) and np.array_equal(rows[..., -8:], env.core.scan)
+    for _ in range(20):
+        obs, *_, infos = env.step(np.zeros(env.action_space.shape, np.float32))
+    assert infos["_final_obs"].all() and not np.array_equal(infos["final_obs"], obs)
+    assert obs.shape == infos["final_obs"].shape == env.observation_space.shape == (2, rows[0].size)
+
+
+def test_pettingzoo_hands_on_the_distances_of_a_lidar(lidar):
+    need("pettingzoo")
+    from pettingzoo.test import parallel_api_test
+
+    from murmurate.pettingzoo import parallel_env
+
+    env = parallel_env(**lidar)
+    parallel_api_test(env, num_cycles=50)
+    seen, _ = env.reset()
+    assert np.array_equal(seen["robot_1"][-8:], env.core.scan[0, 1])
+
+
+def test_torchrl_hands_on_the_distances_of_a_lidar(lidar):
+    need("torchrl")
+    from torchrl.envs.utils import check_env_specs
+
+    from murmurate.torchrl import Env
+
+    env = Env("passage", 2, **lidar)
+    check_env_specs(env)
+    assert np.array_equal(env.reset()["agents", "scan"].numpy(), env.core.scan)

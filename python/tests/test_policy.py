@@ -62,6 +62,48 @@ def test_what_it_remembers_goes_in_and_comes_out_and_a_reset_has_a_seed():
     assert again.seeds == policy.seeds
 
 
+class Counted(Field):
+    """Notes how many robots each call has, and draws random numbers from a generator of its own."""
+
+    def __init__(self, contract=CONTRACT):
+        super().__init__(contract)
+        self.robots, self.places, self.drawn = [], set(), {}
+
+    def reset(self, seed, robot):
+        self.drawn = {**self.drawn, robot: np.random.default_rng(seed)}
+
+    def step(self, inputs):
+        self.robots.append(len(inputs.state))
+        self.places |= {tuple(row) for row in inputs.heard.astype(int)}
+        outputs = super().step(inputs)
+        noise = [self.drawn[robot].normal(0, 0.05, 2) for robot in sorted(self.drawn)[: len(inputs.state)]]
+        return murmurate.Outputs(outputs.action + np.array(noise), outputs.message, outputs.state)
+
+
+def test_one_call_has_all_robots_of_an_agent():
+    joint, apart = Counted(), Counted()
+    together = murmurate.sim("swap", joint, robots=4, episodes=2, repeats=1)
+    # The last ticks of an episode may lack robots whose percepts are late; in this mode there are none.
+    assert set(joint.robots) == {4} and together.successes >= 1
+    assert any(sum(row) < len(row) for row in joint.places), "places that a robot lacks are empty"
+    murmurate.sim("swap", apart, mode="offboard", robots=4, episodes=1, repeats=1)
+    assert set(apart.robots) == {1}
+
+
+def test_a_function_makes_an_object_for_each_job_and_the_run_repeats_itself():
+    made = []
+
+    def make():
+        made.append(Counted())
+        return made[-1]
+
+    runs = [murmurate.sim("swap", make, robots=3, episodes=1, repeats=4, jobs=jobs) for jobs in (1, 2)]
+    assert len({id(policy) for policy in made}) == len(made) in (3, 4)
+    assert runs[0].trace_hash == runs[1].trace_hash
+    with pytest.raises(ValueError, match="give a function that makes one for each job"):
+        murmurate.sim("swap", Field(), robots=2, jobs=2)
+
+
 class Two(murmurate.Policy):
     """Says where it wants to go, and goes there."""
 

@@ -5,6 +5,7 @@
 //! Caches.
 
 pub mod apart;
+mod exchange;
 mod slot;
 pub mod timed;
 
@@ -15,10 +16,10 @@ use std::sync::Arc;
 use self::slot::{Outcome, Slot};
 use super::neighbours::SharedData;
 use crate::actor::Core;
-use crate::cells::{self, Cells};
+use crate::cells::Cells;
 use crate::edge::Packet;
 use crate::messages::geometry::{Task, Vec2, is_finite};
-use crate::messages::local::{Action, NEAR_M, OtherRobot, Percept, Progress};
+use crate::messages::local::{Action, NEAR_M, OtherRobot, Percept, Progress, Remembered};
 use crate::messages::round::RoundFollower;
 use crate::messages::wire::{Features, Latent, Mode, Phase, Round};
 use crate::observation::Observation;
@@ -52,6 +53,8 @@ pub enum Out {
     Latent(Latent),
     /// Action (desired velocity) of one of the Agent's robots, for the robot's Controller.
     Action(Action),
+    /// Digest of what the policy of one of the Agent's robots remembers after its step, for records.
+    Remembered(Remembered),
 }
 
 /// Agent: the actor that computes the latents (policy messages) and actions of one or more robots from their percepts,
@@ -61,6 +64,8 @@ pub struct Agent {
     /// Longest wait of a joint step for the last percept. After it, the step runs without the missing robots.
     max_wait: Span,
     slots: Vec<Slot>,
+    /// Whether policies under test compute the steps of several robots together.
+    joint: bool,
     /// Tasks of all robots of the team that the Agent was told, in the order of their ids.
     team: Vec<Option<Task>>,
     rounds: RoundFollower,
@@ -95,6 +100,7 @@ impl Agent {
             team: vec![None; scenario.robots()],
             scenario,
             max_wait,
+            joint: robots.len() > 1 && robots.iter().any(|policies| policies.run.is_joint()),
             missing: robots.len(),
             shared: Vec::new(),
             features: Vec::new(),
@@ -149,34 +155,28 @@ impl Agent {
         if matches!(self.phase, Phase::Resetting | Phase::Running) {
             self.shared.clear();
             self.features.clear();
+            (0..self.slots.len()).for_each(|at| self.observe(now, at));
             (0..self.slots.len()).for_each(|at| self.share(now, at));
             self.grid = self.locate();
             self.relay();
+            if self.joint && self.phase == Phase::Running {
+                (0..self.slots.len()).for_each(|at| self.prepare_act(at));
+            }
             // Send actions before latents: actuation latency matters more. Both leave in one visit to the Network.
             out.extend((0..self.slots.len()).filter_map(|at| self.act(now, at)).map(Out::Action));
             out.extend((0..self.slots.len()).filter_map(|at| self.latent(at)).map(Out::Latent));
+            if self.phase == Phase::Running {
+                out.extend(self.slots.iter().filter_map(Slot::remembered).map(Out::Remembered));
+            }
         }
         self.slots.iter_mut().for_each(|slot| slot.percept = None);
         self.missing = self.slots.len();
     }
 
-    /// Returns a grid of the positions of all robots with a percept, so that each robot examines only those nearby.
-    /// Returns `None` for few robots and for a range drawn per message, which has no bound.
-    fn locate(&self) -> Option<Cells> {
-        let ranges = || self.slots.iter().map(|slot| slot.policies.range);
-        if self.slots.len() <= cells::LINEAR_SEARCH_MAX || ranges().any(|range| range.std_m > 0.0) {
-            return None;
-        }
-        let farthest_m = ranges().fold(NEAR_M, |most, range| most.max(range.mean_m));
-        let nowhere = Vec2::repeat(f32::NAN);
-        let at = |shared: &Option<SharedData>| shared.map_or(nowhere, |shared| shared.motion.position);
-        Cells::new(farthest_m, self.shared.iter().map(at))
-    }
-
     /// Encodes the observation of the robot in slot `at` and stores the data that the Agent's other robots read of this
     /// robot.
     fn share(&mut self, now: Time, at: usize) {
-        let encoded = self.encode(now, at).is_some();
+        let encoded = self.encode(at).is_some();
         let slot = &self.slots[at];
         let age = slot.age(now);
         let said = slot.held().filter(|_| slot.outcome == Outcome::Held).map(|held| held.motion);
@@ -196,52 +196,6 @@ impl Agent {
         }
     }
 
-    /// Completes the latents of policies with several hops: the input of each hop is computed from the neighbours'
-    /// newest input of the hop before. Those of the Agent's own robots are of this step, all others of the messages
-    /// that have arrived, so nothing waits.
-    fn relay(&mut self) {
-        let phase = self.phase;
-        let hops = self.slots.iter_mut().map(|slot| slot.policies.of(phase).hops()).max().unwrap_or(1);
-        for hop in 1..hops {
-            (0..self.slots.len()).for_each(|at| self.relay_hop(hop, at));
-            // All robots have read what the others shared; now the new inputs replace it.
-            for (slot, shared) in self.slots.iter_mut().zip(&mut self.shared) {
-                let Some(SharedData { features, .. }) = shared else { continue };
-                let Some([begins, ends]) = features.map(|range| range.map(|at| at as usize)) else { continue };
-                if slot.outcome == Outcome::Held {
-                    continue;
-                }
-                slot.encoded(phase);
-                if slot.outcome == Outcome::Sound {
-                    self.features[begins..ends].copy_from_slice(&slot.features);
-                } else {
-                    *features = None;
-                }
-            }
-        }
-    }
-
-    fn relay_hop(&mut self, hop: usize, at: usize) {
-        let Some(SharedData { motion, features: Some(_), .. }) = self.shared[at] else { return };
-        self.find_near(motion.position);
-        let phase = self.phase;
-        let slot = &mut self.slots[at];
-        if slot.outcome == Outcome::Held {
-            return;
-        }
-        let step = slot.step((self.round, phase), &self.features);
-        let Slot { policies, percept: Some(percept), own, values, features, .. } = slot else { return };
-        let companions = self.near.iter().filter(|other| **other != at).filter_map(|&other| self.shared[other]);
-        // A message is drawn as received or not once a step, whatever the number of hops: by the same numbers.
-        let mut ranges = policies.ranges.clone();
-        let neighbours = step.neighbours(percept, companions, &mut ranges);
-        let seen = Observation { values, ..*own };
-        let policy = policies.of(phase);
-        if hop < policy.hops() {
-            policy.relay(hop, &seen, features, &neighbours);
-        }
-    }
-
     /// Returns the latent of the robot in slot `at`; `None` if it broadcasts none in this step.
     fn latent(&mut self, at: usize) -> Option<Latent> {
         let SharedData { robot, motion, .. } = self.shared[at]?;
@@ -254,23 +208,35 @@ impl Agent {
         Some(Latent { robot, round: self.round, phase: self.phase, motion, features, part: None })
     }
 
-    /// Encodes the observation of the robot in slot `at`; `None` if it broadcasts nothing in this step.
-    fn encode(&mut self, now: Time, at: usize) -> Option<()> {
-        let phase = self.phase;
+    /// Makes the observation of the robot in slot `at`, which has a step if it knows its state and its task and its
+    /// period is over.
+    fn observe(&mut self, now: Time, at: usize) {
+        let (phase, joint) = (self.phase, self.joint);
         let slot = &mut self.slots[at];
         slot.outcome = Outcome::Silent;
-        let (percept, task) = (slot.percept.as_ref()?, slot.task.as_ref()?);
+        let Some((percept, task)) = slot.percept.as_ref().zip(slot.task.as_ref()) else { return };
         let task = bound_for(phase, task);
         let own = slot.policies.observe(&*self.scenario, &task, percept, now.since(self.episode_began));
         slot.own = own;
-        if !slot.is_due(now, phase) {
-            slot.outcome = Outcome::Held;
-            return slot.held().filter(|held| held.sound).map(drop);
-        }
-        if phase == Phase::Running {
+        slot.outcome = if slot.is_due(now, phase) { Outcome::Due } else { Outcome::Held };
+        if slot.outcome == Outcome::Due && phase == Phase::Running {
             slot.steps(now, (&task, &self.team), &own);
+            if joint {
+                slot.policies.run.prepare_encode(&Observation { values: &slot.values, ..own });
+            }
         }
-        let seen = Observation { values: &slot.values, ..own };
+    }
+
+    /// Encodes the observation of the robot in slot `at`; `None` if it broadcasts nothing in this step.
+    fn encode(&mut self, at: usize) -> Option<()> {
+        let phase = self.phase;
+        let slot = &mut self.slots[at];
+        match slot.outcome {
+            Outcome::Due => {}
+            Outcome::Held => return slot.held().filter(|held| held.sound).map(drop),
+            _ => return None,
+        }
+        let seen = Observation { values: &slot.values, ..slot.own };
         let policy = slot.policies.of(phase);
         let width = policy.interface().features;
         // The policy declares its width anew in each step; it may differ from that at the start.
@@ -278,17 +244,6 @@ impl Agent {
         policy.encode(&seen, &mut slot.features);
         slot.encoded(phase);
         (slot.outcome == Outcome::Sound).then_some(())
-    }
-
-    /// Stores the slots of the robots near `position`, and perhaps others, in `near`.
-    fn find_near(&mut self, position: Vec2) {
-        match &self.grid {
-            Some(grid) => grid.near(position, &mut self.near),
-            None => {
-                self.near.clear();
-                self.near.extend(0..self.slots.len());
-            }
-        }
     }
 
     fn act(&mut self, now: Time, at: usize) -> Option<Action> {
@@ -326,6 +281,7 @@ impl Agent {
             Outcome::Sound | Outcome::Silent => Some(limited(velocity, limit)),
             Outcome::Held => slot.held().map(|held| held.velocity),
             Outcome::Failed => None,
+            Outcome::Due => unreachable!("a step is encoded before its action"),
             // The Controller stops the robot for it, as for any output that is not finite.
             Outcome::Invalid => Some(Vec2::repeat(f32::NAN)),
         };
@@ -484,7 +440,7 @@ mod tests {
                 assert_eq!(action.estimate.velocity, MEASURED, "it has the measured velocity");
                 Some((action.robot.0, action.velocity.expect("no step has failed").x))
             }
-            Out::Latent(_) => None,
+            Out::Latent(_) | Out::Remembered(_) => None,
         };
         out.iter().filter_map(action).collect()
     }
@@ -621,7 +577,7 @@ mod tests {
     fn latents(out: &[Out]) -> Vec<Vec<f32>> {
         let latent = |out: &Out| match out {
             Out::Latent(latent) => Some(latent.features.0.to_vec()),
-            Out::Action(_) => None,
+            Out::Action(_) | Out::Remembered(_) => None,
         };
         out.iter().filter_map(latent).collect()
     }
@@ -719,11 +675,11 @@ mod tests {
         }
         let actions = out.iter().filter_map(|out| match out {
             Out::Action(action) => action.velocity.map(|velocity| [velocity.x, velocity.y]),
-            Out::Latent(_) => None,
+            Out::Latent(_) | Out::Remembered(_) => None,
         });
         let latents = out.iter().filter_map(|out| match out {
             Out::Latent(latent) => Some(latent.features.0[0]),
-            Out::Action(_) => None,
+            Out::Action(_) | Out::Remembered(_) => None,
         });
         actions.zip(latents).collect()
     }

@@ -6,12 +6,13 @@
 
 use std::collections::BTreeMap;
 
+use super::perceived::Perceived;
 use super::witness::{Finding, Witness};
 use crate::actor::Core;
 use crate::estimation::{self, Estimator};
 use crate::hearing::{CommRange, Handling, MAX_NEIGHBOURS};
 use crate::messages::ids::RobotId;
-use crate::messages::local::{NeighbourLatent, Percept, Sensation};
+use crate::messages::local::{NeighbourLatent, Percept};
 use crate::messages::wire::{Latent, Reading, Sensed};
 use crate::random::Stream;
 use crate::time::{Span, Time};
@@ -84,8 +85,8 @@ pub struct Cache {
     estimator: Box<dyn Estimator>,
     latents: BTreeMap<RobotId, (Time, Latent)>,
     witness: Witness,
-    /// Newest values of each sense with the times of their arrival; `None` before the first.
-    sensed: Vec<Option<(Time, Sensed)>>,
+    /// Newest values of each sense.
+    sensed: Vec<Perceived>,
 }
 
 impl Cache {
@@ -95,7 +96,7 @@ impl Cache {
         let settings = estimation::Settings { delay: config.sensor_delay };
         let (next, estimator) = (Time::ZERO + config.phase, (config.estimator.make)(&settings));
         let witness = Witness::new(config.limit_m_s);
-        let (latents, sensed) = (BTreeMap::new(), vec![None; config.senses]);
+        let (latents, sensed) = (BTreeMap::new(), (0..config.senses).map(|_| Perceived::default()).collect());
         Cache { config, stream, next, own: None, turning: (None, None), estimator, latents, witness, sensed }
     }
 
@@ -117,19 +118,8 @@ impl Cache {
         let deviation_m = self.estimator.deviation_m(now);
         let measured = self.witness.obstacles(now);
         let (due, heard, (heading, yaw_rate)) = (self.next, heard.collect(), self.turning);
-        let sensation =
-            |(arrived, sensed): &(Time, Sensed)| Sensation { values: sensed.values.clone(), age: now.since(*arrived) };
-        let sensed = self.sensed.iter().map(|newest| newest.as_ref().map(sensation)).collect();
+        let sensed = self.sensed.iter().map(|sense| sense.at(now)).collect();
         Some(Percept { robot, due, estimate, deviation_m, heading, yaw_rate, heard, measured, sensed })
-    }
-
-    /// Keeps the values of a sense. A repeated stamp is the same measurement and does not make the values newer.
-    fn sense(&mut self, now: Time, sensed: Sensed) {
-        if let Some(newest) = self.sensed.get_mut(usize::from(sensed.sense)) {
-            let known = newest.as_ref().is_some_and(|(_, before)| before.stamp_ns == sensed.stamp_ns);
-            let arrived = newest.as_ref().filter(|_| known).map_or(now, |(arrived, _)| *arrived);
-            *newest = Some((arrived, sensed));
-        }
     }
 
     fn hear(&mut self, now: Time, latent: Latent, out: &mut Vec<Out>) {
@@ -180,7 +170,11 @@ impl Core for Cache {
             }
             In::Latent(latent) => self.hear(now, latent, out),
             In::Measured(reading) => self.witness.measured(now, &reading),
-            In::Sensed(sensed) => self.sense(now, sensed),
+            In::Sensed(sensed) => {
+                if let Some(sense) = self.sensed.get_mut(usize::from(sensed.sense)) {
+                    sense.take(now, sensed);
+                }
+            }
         }
     }
 
@@ -208,6 +202,7 @@ mod tests {
 
     use super::*;
     use crate::messages::geometry::{Motion, Vec2};
+    use crate::messages::local::Sensation;
     use crate::messages::wire::{Features, Phase, Round};
     use crate::random::Seed;
 
@@ -293,18 +288,15 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_values_of_a_sense_age_from_their_arrival() {
+    fn values_of_the_robots_senses_are_perceived_and_those_of_no_sense_are_not() {
         let mut cache = cache();
-        let sensed = |sense, stamp_ns, value: f32| {
-            In::Sensed(Sensed { robot: RobotId(0), sense, stamp_ns, values: Features([value].into()) })
-        };
         cache.handle(at_ms(0), reading(1), &mut Vec::new());
         assert_eq!(tick(&mut cache, 0).expect("it knows where it is").sensed, [None]);
-        for (ms, sense, stamp_ns, value) in [(10, 0, 5, 1.0), (20, 0, 6, 2.0), (30, 0, 6, 2.5), (40, 1, 7, 3.0)] {
-            cache.handle(at_ms(ms), sensed(sense, stamp_ns, value), &mut Vec::new());
+        for sense in [0, 1] {
+            let sensed = Sensed::split(RobotId(0), sense, 7, &[3.0]).expect("it can be sent").remove(0);
+            cache.handle(at_ms(20), In::Sensed(sensed), &mut Vec::new());
         }
-        let values = Features([2.5].into());
-        let expected = Some(Sensation { values, age: Span::from_millis(30) });
+        let expected = Some(Sensation { values: Features([3.0].into()), age: Span::from_millis(30) });
         assert_eq!(tick(&mut cache, 50).expect("it knows where it is").sensed, [expected]);
     }
 

@@ -14,6 +14,7 @@ mod lost;
 mod neighbours;
 pub mod network;
 pub mod order;
+mod perceived;
 pub(crate) mod presence;
 pub mod recorder;
 pub mod senses;

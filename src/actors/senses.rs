@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use crate::actor::Core;
 use crate::messages::ids::RobotId;
 use crate::messages::local::Scene;
-use crate::messages::wire::{Features, Sensed};
+use crate::messages::wire::Sensed;
 use crate::senses::{self, Sense};
 use crate::time::Time;
 
@@ -54,13 +54,13 @@ impl Senses {
                     "its values are not as many as it has said"
                 }
                 senses::Out::Values { stamp_ns, values } => {
-                    let sense = self.senses[index].index;
-                    let sensed = Sensed { robot: self.robot, sense, stamp_ns, values: Features(values.into()) };
-                    if sensed.is_sound() {
-                        out.push(sensed);
-                        continue;
+                    match Sensed::split(self.robot, self.senses[index].index, stamp_ns, &values) {
+                        Some(all) => {
+                            out.extend(all);
+                            continue;
+                        }
+                        None => "a value is not finite or beyond a million",
                     }
-                    "a value is not finite or beyond a million"
                 }
             };
             self.refuse(index, refused);

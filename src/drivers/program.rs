@@ -83,7 +83,7 @@ pub fn make(settings: &Settings, robot: RobotId) -> Result<Parts, ConfigError> {
     let limits = Limits { speed_m_s: limit_below(config.speed_m_s) };
     Ok(Parts {
         driver: Box::new(move || Box::new(Lines { robot, limits })),
-        worker: Some(Box::new(Program { command: config.command })),
+        worker: Some(Box::new(Program::new(config.command))),
     })
 }
 

@@ -42,14 +42,29 @@ const LOOKS: u32 = 10;
 #[derive(Clone, Debug)]
 pub struct Program {
     /// The program file, followed by its arguments.
-    pub command: Vec<String>,
+    command: Vec<String>,
+    /// Longest line of its stdout \[bytes\]. A longer line is split, so that its reader refuses the parts.
+    longest: usize,
+}
+
+impl Program {
+    /// Makes the worker of a program file, followed by its arguments. Its lines have at most 4096 bytes.
+    pub fn new(command: Vec<String>) -> Program {
+        Program { command, longest: 4096 }
+    }
+
+    /// Returns the worker with so much room for a line at least \[bytes\].
+    #[must_use]
+    pub fn with_lines_of(self, longest: usize) -> Program {
+        Program { longest: longest.max(self.longest), ..self }
+    }
 }
 
 impl Worker for Program {
     fn start(self: Box<Self>, seat: Seat) -> Recipient<Input> {
-        let Program { command } = *self;
+        let program = *self;
         seat.start(move |port| Runner {
-            command,
+            program,
             port,
             life: None,
             ends: false,
@@ -67,7 +82,7 @@ impl Worker for Program {
 
 /// Actor that runs a user's program, and starts it again when it has ended.
 struct Runner {
-    command: Vec<String>,
+    program: Program,
     port: Port,
     /// The running program; `None` while it is ended or waits to be started again.
     life: Option<Life>,
@@ -150,7 +165,7 @@ impl Handler<Input> for Runner {
 
 impl Runner {
     fn program(&self) -> &str {
-        self.command.first().map_or("", String::as_str)
+        self.program.command.first().map_or("", String::as_str)
     }
 
     /// Starts the program; if that is not possible, this life of the actor is over.
@@ -175,8 +190,8 @@ impl Runner {
     }
 
     fn launch(&self) -> std::io::Result<Life> {
-        let (group, [stdin, stdout, stderr]) = Group::start(&self.command)?;
-        let lines = Lines::start(stdout, self.port.sender(), self.port.name())?;
+        let (group, [stdin, stdout, stderr]) = Group::start(&self.program.command)?;
+        let lines = Lines::start(stdout, self.port.sender(), (self.port.name(), self.program.longest))?;
         let stdin = PipeWriter::from(pipe::Sender::from_owned_fd(stdin)?.into_nonblocking_fd()?);
         let mut stderr_reader = JoinSet::new();
         stderr_reader.spawn_local(pass_on(pipe::Receiver::from_owned_fd(stderr)?));
@@ -338,7 +353,7 @@ mod tests {
             let script =
                 format!("echo $$ > {0}; tail -f /dev/null & echo $! >> {0}; echo up; {ending}", file.display());
             let command = ["sh", "-c", &script].map(str::to_owned).to_vec();
-            let (gate, running) = start(Box::new(Program { command }), "a program").unwrap();
+            let (gate, running) = start(Box::new(Program::new(command)), "a program").unwrap();
             let started = pids(&file, 2);
             // One that ends by itself takes with it at once what it has forked.
             assert!(runs(started[1]) || ending == "exit 0", "{ending}");
@@ -366,7 +381,7 @@ mod tests {
     #[test]
     fn a_program_that_ends_is_started_again_and_what_it_said_before_is_known_to_be_old() {
         let command = ["sh", "-c", "echo $$; read -r line; echo \"$line\""].map(str::to_owned).to_vec();
-        let (mut gate, running) = start(Box::new(Program { command }), "a program").unwrap();
+        let (mut gate, running) = start(Box::new(Program::new(command)), "a program").unwrap();
         let (first, state) = next(&mut gate, 1);
         assert_eq!((first.len(), state), (1, WorkerState::Running));
         gate.send(Packet::from(*b"over\n"));
@@ -386,7 +401,7 @@ mod tests {
         // It ends at its first start, and never at another.
         let script = format!("echo $$ >> {0}; [ $(wc -l < {0}) = 1 ] || exec tail -f /dev/null", file.display());
         let command = ["sh", "-c", &script].map(str::to_owned).to_vec();
-        let (mut gate, running) = start(Box::new(Program { command }), "a program").unwrap();
+        let (mut gate, running) = start(Box::new(Program::new(command)), "a program").unwrap();
         assert_eq!(next(&mut gate, 1), (vec![], WorkerState::Restarted));
         drop(gate);
         assert!(running.join(HANGS), "it ends");
@@ -398,7 +413,7 @@ mod tests {
         let folder = tempfile::TempDir::new().unwrap();
         let file = folder.path().join("late");
         let command = vec![file.display().to_string()];
-        let (mut gate, running) = start(Box::new(Program { command }), "a program").unwrap();
+        let (mut gate, running) = start(Box::new(Program::new(command)), "a program").unwrap();
         assert_eq!(next(&mut gate, 1), (vec![], WorkerState::Restarted));
         let other = folder.path().join("new");
         fs::write(&other, "#!/bin/sh\necho here\nread -r line\n").unwrap();
@@ -434,7 +449,7 @@ mod tests {
     #[test]
     fn a_program_that_is_halted_is_killed_and_started_again_without_what_has_waited() {
         let command = ["sh", "-c", "echo $$; while read -r line; do echo \"$line\"; done"].map(str::to_owned).to_vec();
-        let (mut gate, running) = start(Box::new(Program { command }), "a program").unwrap();
+        let (mut gate, running) = start(Box::new(Program::new(command)), "a program").unwrap();
         let number = |packet: &Packet| Pid::from_raw(String::from_utf8_lossy(packet).trim().parse().unwrap());
         let halted = number(&next(&mut gate, 1).0[0]);
         gate.send(Packet::from(*b"drive\n"));
@@ -469,7 +484,7 @@ mod tests {
     #[test]
     fn a_program_that_never_reads_costs_what_has_no_room_and_ends_with_its_host() {
         let command = ["sh", "-c", "echo up; exec tail -f /dev/null"].map(str::to_owned).to_vec();
-        let (mut gate, running) = start(Box::new(Program { command }), "a program").unwrap();
+        let (mut gate, running) = start(Box::new(Program::new(command)), "a program").unwrap();
         assert_eq!(next(&mut gate, 1), (vec![Packet::from(*b"up\n")], WorkerState::Running));
         let mut sent = 0;
         // More than its mailbox and a pipe of 64 KiB hold.

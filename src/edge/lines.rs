@@ -14,9 +14,6 @@ use tokio::sync::oneshot;
 use super::panic::EndsProcess;
 use super::{Packet, PacketSender};
 
-/// Longest line of a program's output \[bytes\]. A longer line is split, so its reader refuses the parts.
-const LONGEST: u64 = 4096;
-
 /// Lines of a running program's stdout, which are sent as packets until the program closes it, or this is dropped.
 #[derive(Debug)]
 pub(super) struct Lines {
@@ -26,14 +23,15 @@ pub(super) struct Lines {
 }
 
 impl Lines {
-    /// Starts to read `stdout`; each line is sent by `sender`. `name` is that of the worker, by which logs know it.
-    pub(super) fn start(stdout: OwnedFd, sender: PacketSender, name: &str) -> io::Result<Lines> {
+    /// Starts to read `stdout`; each line is sent by `sender`. A line of more than `longest` \[bytes\] is split, so its
+    /// reader refuses the parts. `name` is that of the worker, by which logs know it.
+    pub(super) fn start(stdout: OwnedFd, sender: PacketSender, (name, longest): (&str, usize)) -> io::Result<Lines> {
         let ((end, _end), (alive, ended)) = (io::pipe()?, oneshot::channel());
         thread::Builder::new().name(name.to_owned()).spawn(move || {
             let _guard = EndsProcess("the reader of a program's output");
             // Dropped at the end.
             let _alive: oneshot::Sender<()> = alive;
-            pass_on(Output { stdout, end }, &sender);
+            pass_on(Output { stdout, end }, &sender, longest as u64);
         })?;
         Ok(Lines { ended, _end })
     }
@@ -61,11 +59,11 @@ impl Read for Output {
     }
 }
 
-fn pass_on(output: Output, sender: &PacketSender) {
+fn pass_on(output: Output, sender: &PacketSender, longest: u64) {
     let mut output = BufReader::new(output);
     loop {
         let mut line = Vec::new();
-        match (&mut output).take(LONGEST).read_until(b'\n', &mut line) {
+        match (&mut output).take(longest).read_until(b'\n', &mut line) {
             Ok(0) | Err(_) => return,
             Ok(_) => sender.send(Packet::from(line)),
         }
@@ -84,7 +82,7 @@ mod tests {
     fn the_thread_ends_when_it_is_dropped_although_a_process_keeps_the_output_open() {
         let (mut gate, port) = channel("a program").expect("there are descriptors");
         let (stdout, mut program) = io::pipe().expect("a pipe");
-        let lines = Lines::start(stdout.into(), port.sender(), "a program").expect("a thread");
+        let lines = Lines::start(stdout.into(), port.sender(), ("a program", 4096)).expect("a thread");
         program.write_all(b"one\ntwo").expect("it is read");
         let mut heard = Vec::new();
         while heard.is_empty() {

@@ -5,7 +5,7 @@ use std::rc::Rc;
 use super::inputs::Input;
 use crate::actors::recorder;
 use crate::messages::ids::{HostId, LinkId, RobotId};
-use crate::messages::local::Truth;
+use crate::messages::local::{Remembered, Truth};
 use crate::messages::wire::{Hardware, Kind, Wire};
 use crate::net::media::radio::RadioCounts;
 use crate::net::protocol::codec::Frame;
@@ -54,6 +54,8 @@ pub enum Event<'a> {
     Aborted(u32, AbortReason),
     /// Numbers of times that a robot's guard has stopped or slowed it since the robot's Controller was started.
     Safety(RobotId, SafetyCounts),
+    /// Digest of what the policy of a robot remembers after a step. Occurs only for policies with a state.
+    Remembered(Remembered),
     /// Condition of the hardware of a real robot, as its driver reports it.
     Hardware(RobotId, &'a Hardware),
     /// The sockets of a link were closed or opened again, because a network interface or its address has changed.
@@ -137,6 +139,7 @@ impl Events {
             | Event::Peers(_)
             | Event::Duplicate(_)
             | Event::Hardware(..)
+            | Event::Remembered(_)
             | Event::Roster(..)
             | Event::Members(_)
             | Event::Link(..) => return None,

@@ -273,8 +273,9 @@ fn wire_agent(clock: &Clock, trial: &Rc<Trial>, graph: &Graph, robot: RobotId, p
     let controllers = graph.controllers.clone();
     let robots = graph.routes.agent_robots(robot).to_vec();
     let (mailbox, span) = (&graph.agents[robot.index()], info_span!("agent", robot = robot.0));
-    let trial = Rc::clone(trial);
+    let (trial, events, host) = (Rc::clone(trial), Rc::clone(&graph.events), graph.routes.agent_host(robot));
     let sink = move |out| match out {
+        agent::Out::Remembered(said) => events.emit(host, Event::Remembered(said)),
         agent::Out::Latent(latent) => network.send(network::In::Publish(Wire::Latent(latent))),
         agent::Out::Action(action) => controllers[action.robot.index()].send(controller::In::Action(action)),
     };

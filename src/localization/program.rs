@@ -59,7 +59,7 @@ pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigErro
     let robots = robots.to_vec();
     Ok(Parts {
         source: Box::new(move || Box::new(Lines { robots: robots.clone() })),
-        worker: Box::new(Program { command: config.command }),
+        worker: Box::new(Program::new(config.command)),
     })
 }
 

@@ -110,6 +110,15 @@ pub struct Action {
     pub progress: Progress,
 }
 
+/// Digest of what the policy of a robot remembers after a step, which tells whether two runs have come to the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Remembered {
+    /// Number of the robot.
+    pub robot: RobotId,
+    /// First 64 bits of the BLAKE3 hash of the numbers, as 32-bit floats in the order of the policy.
+    pub digest: u64,
+}
+
 /// Newest values of one sense of a robot, as stored by the robot's Cache.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sensation {

@@ -99,11 +99,30 @@ pub trait Policy {
         None
     }
 
+    /// Returns what the policy remembers for its next step, for records; `None`, the default, for one without state, or
+    /// whose state is not known.
+    fn memory(&self) -> Option<&[f32]> {
+        None
+    }
+
     /// Returns the form in which the robot's broadcast travels: the encoding to which it is rounded, and what holds of
     /// parts of it that get lost. The default is that of broadcasts of at most 256 floats.
     fn form(&self) -> Form {
         Form::default()
     }
+
+    /// Returns whether the steps of several robots of an Agent are computed together. Then each robot is told by
+    /// `prepare_encode` and `prepare_act` what the next `encode` and `act` of a running episode get, before the first of
+    /// them is called. The default is no.
+    fn is_joint(&self) -> bool {
+        false
+    }
+
+    /// Takes what the next `encode` gets. The default does nothing.
+    fn prepare_encode(&mut self, _own: &Observation) {}
+
+    /// Takes what the next `act` gets. The default does nothing.
+    fn prepare_act(&mut self, _own: &Observation, _features: &[f32], _neighbours: &[Neighbour]) {}
 
     /// Writes the robot's broadcast for this step into `features`, which has the length `Interface::features`. `own` is
     /// the robot's own state and goal, in the policy frame.

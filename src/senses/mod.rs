@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 pub use self::lidar::Scanner;
 use self::paced::{Measure, Pace, Simulated};
 
+use self::rays::MAX_RAYS;
 use crate::config::ConfigError;
 use crate::edge;
 use crate::messages::ids::RobotId;
@@ -121,8 +122,10 @@ impl Layout {
 
     /// Returns what is wrong with the form; `None` if it can be sent.
     pub(crate) fn unfit(&self) -> Option<String> {
-        let floats = self.floats();
-        (!(1..=MAX_SENSED).contains(&floats)).then(|| format!("it has {floats} values; 1 to {MAX_SENSED} can be sent"))
+        let (floats, rays) = (self.floats(), self.sweep.is_some());
+        let most = if rays { MAX_RAYS } else { MAX_SENSED };
+        let what = if rays { "rays" } else { "values" };
+        (!(1..=most).contains(&floats)).then(|| format!("it has {floats} {what}; 1 to {most} can be sent"))
     }
 }
 

@@ -13,11 +13,16 @@ use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::edge::child::Program;
 use crate::messages::ids::RobotId;
+use crate::messages::wire::MAX_SENSED;
 use crate::observation::{Sweep, Unit};
 use crate::time::{Span, Time};
 
 /// Description of the sense `program` in one line, for lists of all kinds.
 pub(super) const ABOUT: &str = "a program of yours: JSON lines on its stdout";
+
+/// Room for a value in a line, with all digits of a 64-bit float, and for the rest of the line \[bytes\].
+const VALUE_BYTES: usize = 28;
+const LINE_BYTES: usize = 200;
 
 /// Settings of an example.
 pub(super) const EXAMPLE: &str = "command = [\"./camera\"]\nshape = [2, 3]\nunit = \"1\"";
@@ -87,10 +92,11 @@ pub(super) fn make(settings: &Settings, _: RobotId) -> Result<Parts, ConfigError
     }
     let sweep = config.sweep().map_err(within)?;
     let layout = Layout { shape: config.shape, unit: config.unit, sweep };
+    let longest = VALUE_BYTES.saturating_mul(layout.floats().min(MAX_SENSED)) + LINE_BYTES;
     Ok(Parts {
         layout,
         sense: Box::new(|_| Box::new(Lines)),
-        worker: Some(Box::new(Program { command: config.command })),
+        worker: Some(Box::new(Program::new(config.command).with_lines_of(longest))),
     })
 }
 

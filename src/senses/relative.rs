@@ -12,7 +12,6 @@ use crate::edge::Settings;
 use crate::messages::geometry::{Vec2, wrapped};
 use crate::messages::ids::RobotId;
 use crate::messages::local::{Scene, Standing};
-use crate::messages::wire::MAX_SENSED;
 use crate::observation::Unit;
 use crate::random::{self, RngExt, Stream};
 use crate::scenario::KeepOut;
@@ -25,6 +24,8 @@ pub(super) const EXAMPLE: &str = "most = 3\nrange_m = 2.0\nmisses = 0.1\nfalse_o
 
 /// Number of values of each detection: 1, or 0 for an empty place; distance \[m\]; bearing \[rad\]; heading \[rad\].
 const VALUES: usize = 4;
+/// Largest number of places, so that a measurement fits into one message.
+const MOST: usize = 64;
 
 /// Settings of the sense `relative` in a deployment.
 #[derive(Clone, Debug, Deserialize)]
@@ -61,7 +62,7 @@ struct Config {
 impl Config {
     /// Checks the ranges of all settings. An error names the first wrong one.
     fn check(&self) -> Result<(), ConfigError> {
-        within("most", self.most as f64, 1.0, (MAX_SENSED / VALUES) as f64)?;
+        within("most", self.most as f64, 1.0, MOST as f64)?;
         within("range_m", self.range_m.into(), 0.01, 1000.0)?;
         if let Some(opening) = self.opening_rad {
             within("opening_rad", opening, 0.001, TAU)?;

@@ -5,12 +5,14 @@ use crate::rig::{LINK, Rig, config, key, latent, multicast};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::Latch;
 use murmurate::messages::wire::{Encoding, Features, Form, Kind, Latent, Missing, Stop, Wire};
+use murmurate::net::media::radio::{Channel, Radio, Topology};
 use murmurate::net::protocol::codec::{self, Content};
 use murmurate::net::protocol::key::Key;
 use murmurate::net::protocol::parts::Settings;
 use murmurate::net::protocol::reliability::{Reliabilities, Reliability, Setup};
 use murmurate::net::protocol::router::{Audience, Route, Router};
-use murmurate::time::Span;
+use murmurate::random::{RngExt, Seed};
+use murmurate::time::{Span, Time};
 
 const HOSTS: u16 = 5;
 /// Size of the messages of CoViS-Net, from cameras.
@@ -142,6 +144,67 @@ fn a_stop_leaves_between_two_parts() {
     let whole =
         |host: usize| rig.delivered[host].iter().filter(|(_, message)| matches!(message, Wire::Latent(_))).count();
     assert!((0..usize::from(HOSTS)).all(|host| whole(host) == 4), "and the messages go on");
+}
+
+/// Returns the delays [ms], in rising order, with which stops of host 0 reach the others over a radio channel whose
+/// multicast has 24 Mbit/s. The hosts send messages of `floats` floats ten times a second meanwhile, each at a
+/// time of its own within the period.
+fn delays_of_stops(floats: Option<usize>) -> Vec<f64> {
+    let mut rig = team(&key(), &multicast, Reliability::Nack, Missing::Whole);
+    let radio = Radio { channel: Topology::AdHoc, basic_rate: "ofdm-24".parse().expect("a rate"), ..Radio::default() };
+    rig.radio = Some(Channel::new(radio, HOSTS, &Seed::of_run(3)));
+    rig.run_ms(2500);
+    let mut stream = Seed::of_run(4).stream("stops");
+    let (begun, seconds) = (rig.now, 60_u64);
+    let mut events: Vec<(Time, u16, Option<u32>)> = Vec::new();
+    for host in 0..HOSTS {
+        let phase = Span::from_secs(0.1 * stream.random::<f64>());
+        let number = |number: u32| (begun + phase + PERIOD * u64::from(number), host, Some(number));
+        events.extend((0..10 * seconds as u32).map(number).filter(|_| floats.is_some()));
+    }
+    let at = |number: u64| Span::from_secs(0.03 * (number as f64 + 0.5 * stream.random::<f64>()));
+    let stops: Vec<Time> = (0..seconds * 100 / 3).map(at).map(|after| begun + after).collect();
+    events.extend(stops.iter().map(|at| (*at, 0, None)));
+    events.sort();
+    let (mut delays, mut latches) = (Vec::new(), vec![Latch::default()]);
+    rig.delivered.iter_mut().for_each(Vec::clear);
+    for (at, host, number) in events {
+        rig.run_to(at);
+        match number {
+            Some(number) => rig.publish(host.into(), wide(host, number)),
+            None => {
+                let stop = Stop::engage(HostId(host), latches[latches.len() - 1]);
+                latches.push(stop.latch);
+                rig.publish(host.into(), Wire::Stop(stop));
+            }
+        }
+    }
+    rig.run_ms(100);
+    for (at, message) in rig.delivered.iter().flatten() {
+        if let Wire::Stop(stop) = message {
+            // The first one is that of before.
+            let number = latches.iter().position(|latch| *latch == stop.latch).expect("it was sent");
+            delays.push(1000.0 * at.since(stops[number - 1]).as_secs());
+        }
+    }
+    delays.sort_by(f64::total_cmp);
+    let pairs = stops.len() * usize::from(HOSTS - 1);
+    println!("{} of {pairs} arrived", delays.len());
+    delays
+}
+
+#[test]
+fn on_a_radio_a_stop_waits_for_a_part_and_little_more() {
+    let [without, with] = [None, Some(FLOATS)].map(delays_of_stops);
+    let at = |delays: &[f64], share: f64| delays[(share * (delays.len() - 1) as f64) as usize];
+    let radio = Radio { basic_rate: "ofdm-24".parse().expect("a rate"), ..Radio::default() };
+    let part_ms = 1000.0 * radio.multicast_airtime(1100).as_secs();
+    for share in [0.5, 0.9, 0.99, 1.0] {
+        println!("{share}: {:.3} ms without, {:.3} ms with", at(&without, share), at(&with, share));
+    }
+    let later = at(&with, 0.99) - at(&without, 0.99);
+    println!("a part takes {part_ms:.3} ms; the p99 of {} stops is {later:.3} ms later", with.len());
+    assert!(later <= part_ms + 1.0, "{later:.3} ms later, with parts of {part_ms:.3} ms");
 }
 
 #[test]

@@ -10,6 +10,7 @@ use murmurate::messages::geometry::Motion;
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
 use murmurate::messages::latch::Latch;
 use murmurate::messages::wire::{Features, Heartbeat, Kind, Latent, Phase, Round, Wire};
+use murmurate::net::media::radio::{Channel, Destination};
 use murmurate::net::protocol::codec::TAG_BYTES;
 use murmurate::net::protocol::codec::{self, Content, Frame};
 use murmurate::net::protocol::key::Key;
@@ -134,6 +135,8 @@ pub struct Rig {
     pub blocked: Option<Blocked>,
     /// Host that does not run: nothing leaves or reaches it.
     pub down: Option<usize>,
+    /// Radio channel that takes the place of loss, delay and jitter.
+    pub radio: Option<Channel<(usize, Frame)>>,
     flying: BTreeMap<(Time, u64), (usize, usize, Frame)>,
     /// Wake-up times of the hosts.
     wakes: BTreeSet<(Time, usize)>,
@@ -174,6 +177,7 @@ impl Rig {
             configured: None,
             blocked: None,
             down: None,
+            radio: None,
             flying: BTreeMap::new(),
             count: 0,
             stream: Seed::of_run(5).stream("pipe"),
@@ -205,6 +209,16 @@ impl Rig {
                     self.sent.push(Flight { from: host, at: self.now, audience, frame: frame.clone(), bytes });
                     let held = |(from, all)| from == host && (all || is_held(&frame));
                     if self.relay.is_some_and(held) {
+                        continue;
+                    }
+                    if let Some(radio) = &mut self.radio {
+                        let all = || (0..self.networks.len() as u16).filter(|to| usize::from(*to) != host).collect();
+                        let to = match audience {
+                            Audience::Host(id) => Destination::One(id.0),
+                            _ => Destination::Many(all()),
+                        };
+                        let station = u16::try_from(host).expect("few hosts");
+                        radio.offer(self.now, station, to, bytes, (host, frame));
                         continue;
                     }
                     for to in 0..self.networks.len() {
@@ -279,10 +293,18 @@ impl Rig {
         loop {
             let wake = self.wakes.first().copied();
             let flight = self.flying.keys().next().copied();
-            let next = [wake.map(|(at, _)| at), flight.map(|(at, _)| at)].into_iter().flatten().min();
+            let channel = self.radio.as_ref().and_then(Channel::wake_at);
+            let next = [wake.map(|(at, _)| at), flight.map(|(at, _)| at), channel].into_iter().flatten().min();
             let Some(next) = next.filter(|next| *next <= end) else { break };
             self.now = self.now.max(next);
-            if let Some(flight) = flight.filter(|(at, _)| *at <= next) {
+            if let Some(radio) = self.radio.as_mut().filter(|_| channel == Some(next)) {
+                let mut deliveries = Vec::new();
+                radio.wake(next, &mut deliveries);
+                for delivery in deliveries {
+                    let (from, frame) = delivery.token;
+                    self.arrive_from(usize::from(delivery.to), &frame, self.addresses[from]);
+                }
+            } else if let Some(flight) = flight.filter(|(at, _)| *at <= next) {
                 let (from, to, frame) = self.flying.remove(&flight).expect("it flies");
                 if let Some(arrived) = &mut self.arrived {
                     arrived.push((self.now, to, frame.clone()));

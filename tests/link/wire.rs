@@ -9,7 +9,7 @@ use murmurate::messages::place::{Located, Place, PlaceAnswer, Placed, Whereabout
 use murmurate::messages::trigger::Trigger;
 use murmurate::messages::wire::{
     Celsius, Condition, Encoding, Features, Following, GuardReport, Health, Heartbeat, Hindrance, Latent, Leading,
-    MAX_BLOCK, MAX_CONDITIONS, MAX_FEATURES, MAX_HINDRANCES, MAX_MEMBERS, MAX_SENSED, MAX_VALIDITY, Mode, MotorCommand,
+    MAX_BLOCK, MAX_CONDITIONS, MAX_FEATURES, MAX_HINDRANCES, MAX_MEMBERS, MAX_VALIDITY, MAX_VALUES, Mode, MotorCommand,
     Observe, Phase, Reading, Reason, Release, Round, Seen, Sensed, Signature, Status, Stop, Telemetry, Wire,
 };
 use murmurate::net::protocol::codec::{
@@ -163,9 +163,13 @@ fn message() -> impl Strategy<Value = Wire> {
 /// Returns values of senses, of which some are no echoes.
 fn sensed() -> impl Strategy<Value = Wire> {
     let value = prop_oneof![4 => -1e6f32..=1e6, 1 => Just(f32::INFINITY)];
-    let values = prop::collection::vec(value, 1..=MAX_SENSED).prop_map(|floats| Features(Arc::from(floats)));
-    (robot(), any::<u8>(), any::<u64>(), values)
-        .prop_map(|(robot, sense, stamp_ns, values)| Wire::Sensed(Sensed { robot, sense, stamp_ns, values }))
+    let values = prop::collection::vec(value, 1..=3 * MAX_VALUES);
+    (robot(), any::<u8>(), any::<u64>(), values, any::<prop::sample::Index>()).prop_map(
+        |(robot, sense, stamp_ns, values, at)| {
+            let all = Sensed::split(robot, sense, stamp_ns, &values).expect("they can be sent");
+            Wire::Sensed(at.get(&all).clone())
+        },
+    )
 }
 
 fn release() -> impl Strategy<Value = Wire> {

@@ -14,14 +14,16 @@ use murmurate::random::Stream;
 use murmurate::time::Span;
 
 use crate::contract::{Contract, Distribution, Kind, Pad};
-use crate::engine::Array;
+use crate::engine::{Array, Engine};
 use crate::features;
-use crate::network::{Network, Output, Source};
+use crate::network::{Graph, Network, Output, Source};
 use crate::structure::Role;
 
 /// Policy of one robot.
 pub(crate) struct Robot {
     network: Arc<Network>,
+    /// Engine of each graph, as the thread of the robot uses it.
+    engines: Vec<Arc<dyn Engine>>,
     robot: RobotId,
     draw: Draw,
     /// Memory after the last step that succeeded.
@@ -79,7 +81,9 @@ impl Robot {
         let empty = || Array { shape: Vec::new(), values: Vec::new() };
         let arrays = network.graphs.iter().map(|graph| graph.inputs.iter().map(|_| empty()).collect()).collect();
         let (message, state) = (network.contract.message.floats, network.contract.state_floats());
+        let own = |graph: &Graph| graph.engine.of_thread().unwrap_or_else(|| Arc::clone(&graph.engine));
         Robot {
+            engines: network.graphs.iter().map(own).collect(),
             network,
             robot,
             draw,
@@ -112,14 +116,9 @@ impl Robot {
         }
     }
 
-    /// Runs the graph number `at`, and returns its outputs. `message` is the robot's own message as an input.
-    fn call(
-        &mut self,
-        at: usize,
-        own: &Observation,
-        message: &[f32],
-        neighbours: &[Neighbour],
-    ) -> Result<Vec<Array>, String> {
+    /// Makes the inputs of the graph number `at`. `message` is the robot's own message as an input. Fails if one is not
+    /// finite.
+    fn fill(&mut self, at: usize, own: &Observation, message: &[f32], neighbours: &[Neighbour]) -> Result<(), String> {
         let Network { contract, graphs, .. } = &*self.network;
         let graph = &graphs[at];
         let state = if matches!(graph.role, Role::Relay | Role::Act) { &self.encoded } else { &self.memory.state };
@@ -171,7 +170,25 @@ impl Robot {
                 return Err(unknown(contract, name));
             }
         }
-        let outputs = graph.engine.run(&self.arrays[at])?;
+        Ok(())
+    }
+
+    /// Runs the graph number `at`, and returns its outputs. `message` is the robot's own message as an input.
+    fn call(
+        &mut self,
+        at: usize,
+        own: &Observation,
+        message: &[f32],
+        neighbours: &[Neighbour],
+    ) -> Result<Vec<Array>, String> {
+        let outputs = match self.engines[at].answer(self.robot) {
+            Some(outputs) => outputs?,
+            None => {
+                self.fill(at, own, message, neighbours)?;
+                self.engines[at].run(&self.arrays[at])?
+            }
+        };
+        let graph = &self.network.graphs[at];
         for ((name, output, floats), array) in graph.outputs.iter().zip(&outputs) {
             if array.shape != [1, *floats] {
                 return Err(format!("its output '{name}' has the shape {:?}, not [1, {floats}]", array.shape));
@@ -284,8 +301,8 @@ impl Policy for Robot {
     fn reset(&mut self, seed: u64) {
         self.memory = Memory::new(self.memory.message.len(), self.memory.state.len());
         self.before.copy(&self.memory);
-        if let Some(graph) = self.network.graphs.first() {
-            graph.engine.reset(self.robot, seed);
+        if let Some(engine) = self.engines.first() {
+            engine.reset(self.robot, seed);
         }
     }
 
@@ -297,8 +314,31 @@ impl Policy for Robot {
         self.network.contract.state.map(|state| Span::from_secs(state.after_gap_s))
     }
 
+    fn memory(&self) -> Option<&[f32]> {
+        self.network.contract.state.map(|_| &*self.memory.state)
+    }
+
     fn form(&self) -> Form {
         self.network.contract.message.form()
+    }
+
+    fn is_joint(&self) -> bool {
+        self.engines[0].is_joint()
+    }
+
+    // An input that is not finite is refused once more, and named, when the call itself is made.
+    fn prepare_encode(&mut self, own: &Observation) {
+        if !self.is_one_graph() && self.fill(0, own, &[], &[]).is_ok() {
+            self.engines[0].ask(self.robot, &self.arrays[0]);
+        }
+    }
+
+    fn prepare_act(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour]) {
+        self.choose(&own.motion, neighbours);
+        let at = self.engines.len() - 1;
+        if self.fill(at, own, features, neighbours).is_ok() {
+            self.engines[at].ask(self.robot, &self.arrays[at]);
+        }
     }
 
     fn encode(&mut self, own: &Observation, features: &mut [f32]) {

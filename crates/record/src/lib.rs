@@ -48,7 +48,7 @@ use murmurate::graph::event;
 use murmurate::graph::inputs::Input;
 use murmurate::messages::hardware::Hardware;
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
-use murmurate::messages::local::Truth;
+use murmurate::messages::local::{Remembered, Truth};
 use murmurate::messages::wire::Wire;
 use murmurate::net::protocol::codec::Frame;
 use murmurate::net::protocol::link::{LinkCounts, Refusal};
@@ -81,6 +81,8 @@ pub enum Event {
     Episode(Episode),
     /// Numbers of stops and reduced velocities of this robot by its guard, by cause.
     Guard(RobotId, SafetyCounts),
+    /// Digest of what the policy of a robot remembers after a step.
+    Remembered(Remembered),
     /// Condition of this real robot's hardware: health, battery, temperature.
     Hardware(RobotId, Box<Hardware>),
     /// Numbers of datagrams that this host has sent, accepted and refused on its links, since its Network was started.
@@ -145,6 +147,7 @@ impl Event {
             event::Event::Truth(truth) => Event::Truth(truth.clone()),
             event::Event::Recorded(recorder::Out::Episode(episode, _)) => Event::Episode(*episode),
             event::Event::Safety(robot, counts) => Event::Guard(robot, counts),
+            event::Event::Remembered(said) => Event::Remembered(said),
             event::Event::Hardware(robot, hardware) => Event::Hardware(robot, Box::new(hardware.clone())),
             event::Event::Counts(counts) => Event::Counts(host, Box::new(*counts)),
             event::Event::Peers(peers) => Event::Peers(host, peers.to_vec()),

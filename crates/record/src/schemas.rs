@@ -29,6 +29,11 @@ pub const GUARD: &str = r#"{"title":"murmurate.Guard","type":"object","propertie
 "outside":{"type":"integer"},"fence":{"type":"integer"},"distance":{"type":"integer"},
 "walls":{"type":"integer"},"jump":{"type":"integer"},"claim":{"type":"integer"}},"required":["robot"]}"#;
 
+/// JSON schema of messages about what a robot's policy remembers after a step.
+pub const MEMORY: &str = r#"{"title":"murmurate.Memory","type":"object","properties":{
+"robot":{"type":"integer"},"digest":{"type":"string","description":"16 hexadecimal digits"}},
+"required":["robot","digest"]}"#;
+
 /// JSON schema of messages with the numbers of datagrams on a host's links, and of events that the record lacks.
 pub const COUNTS: &str = r#"{"title":"murmurate.Counts","type":"object","properties":{
 "host":{"type":"string"},"links":{"type":"object","description":"datagrams, by what became of them"},

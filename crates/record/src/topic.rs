@@ -43,6 +43,8 @@ pub enum Topic {
     Links,
     /// Numbers of stops and reduced velocities by the robots' guards.
     Guard,
+    /// Digests of what the robots' policies remember after each step.
+    Memory,
     /// Numbers of datagrams on the host's links, and of events that the record lacks.
     Counts,
     /// Condition of real robots' hardware.
@@ -77,6 +79,7 @@ impl Topic {
             Topic::Episode => "/episode".to_owned(),
             Topic::Links => "/links".to_owned(),
             Topic::Guard => "/guard".to_owned(),
+            Topic::Memory => "/memory".to_owned(),
             Topic::Counts => "/counts".to_owned(),
             Topic::Hardware => "/hardware".to_owned(),
         }
@@ -88,7 +91,7 @@ impl Topic {
         match self {
             Topic::Turn => "murmurate-turn-1",
             Topic::Wire(_) | Topic::Received => "murmurate-datagram",
-            Topic::Episode | Topic::Links | Topic::Guard | Topic::Counts | Topic::Hardware => "json",
+            Topic::Episode | Topic::Links | Topic::Guard | Topic::Memory | Topic::Counts | Topic::Hardware => "json",
             _ => "protobuf",
         }
     }
@@ -112,6 +115,7 @@ impl Topic {
             Topic::Episode => json("Episode", schemas::EPISODE),
             Topic::Links => json("Links", schemas::LINKS),
             Topic::Guard => json("Guard", schemas::GUARD),
+            Topic::Memory => json("Memory", schemas::MEMORY),
             Topic::Counts => json("Counts", schemas::COUNTS),
             Topic::Hardware => json("Hardware", schemas::HARDWARE),
         })

@@ -18,7 +18,7 @@ use super::{Event, Logged, Scope, drawing};
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::hardware::{Celsius, Hardware, Health, Reason};
 use murmurate::messages::ids::{HostId, RobotId};
-use murmurate::messages::local::Truth;
+use murmurate::messages::local::{Remembered, Truth};
 use murmurate::messages::phase::Phase;
 use murmurate::messages::round::Round;
 use murmurate::messages::wire::{Kind, Mode, Sensed, Wire};
@@ -155,6 +155,10 @@ impl Topics {
             Event::Truth(truth) => self.truth(at, truth, take),
             Event::Episode(episode) => self.episode(at, episode, take),
             Event::Guard(robot, counts) => self.guard(at, *robot, *counts, take),
+            Event::Remembered(Remembered { robot, digest }) => {
+                let said = json!({ "robot": robot.0, "digest": format!("{digest:016x}") });
+                json_to(Topic::Memory, at, &said, take);
+            }
             Event::Hardware(robot, hardware) => {
                 json_to(Topic::Hardware, at, &condition(*robot, hardware), take);
             }
@@ -230,6 +234,9 @@ impl Topics {
     fn scan(&self, at: u64, sensed: &Sensed, take: Take) {
         let sense = self.stage.senses.get(usize::from(sensed.sense));
         let Some((sense, rays_rad)) = sense.and_then(|sense| Some((sense, sense.rays_rad?))) else { return };
+        if !sensed.is_whole() {
+            return;
+        }
         let scan = drawing::scan(at, sensed, (rays_rad, sense.mount_m));
         encode_to(Topic::Scan(sensed.robot, sensed.sense), at, &scan, take);
     }

@@ -90,7 +90,8 @@ mod tests {
         let mut scans = Scans::default();
         let mut take = |robot, sense, at: u64, rays| {
             let values = Features(vec![1.5; rays].into());
-            let sensed = Sensed { robot: RobotId(robot), sense, stamp_ns: 0, values };
+            let of = u16::try_from(rays).expect("few");
+            let sensed = Sensed { robot: RobotId(robot), sense, stamp_ns: 0, first: 0, of, values };
             scans.take(Time::ZERO + Span::from_millis(at), &sensed, (Vec2::new(f32::from(robot), 0.0), 0.5));
         };
         take(1, 0, 0, 2);

@@ -168,7 +168,8 @@ impl TeamView {
     fn sensed(&mut self, now: Time, sensed: &Sensed) {
         let robot = self.robots.get(sensed.robot.index());
         let pose = robot.and_then(|robot| Some((robot.position?, robot.heading?.1)));
-        if let Some(pose) = pose.filter(|_| self.scene.scans.iter().any(|form| form.sense == sensed.sense)) {
+        let is_scan = sensed.is_whole() && self.scene.scans.iter().any(|form| form.sense == sensed.sense);
+        if let Some(pose) = pose.filter(|_| is_scan) {
             self.scans.take(now, sensed, pose);
         }
     }
@@ -494,7 +495,7 @@ mod tests {
         view.scene.scans = vec![ScanForm { sense: 1, ..ScanForm::default() }];
         let sensed = |robot, sense| {
             let values = Features([1.0, f32::INFINITY].into());
-            Wire::Sensed(Sensed { robot: RobotId(robot), sense, stamp_ns: 1, values })
+            Wire::Sensed(Sensed { robot: RobotId(robot), sense, stamp_ns: 1, first: 0, of: 2, values })
         };
         view.receive(at(0), &sensed(0, 1));
         assert!(view.snapshot(at(0)).scans.is_empty(), "where the robot is, is not known");

@@ -14,7 +14,7 @@ use super::{Agent, In, Out as AgentOut};
 use crate::actor::Core;
 use crate::edge::{Answering, Packet, Worker};
 use crate::messages::ids::RobotId;
-use crate::messages::local::{Action, Percept, Progress};
+use crate::messages::local::{Action, Percept, Progress, Remembered};
 use crate::messages::round::RoundFollower;
 use crate::messages::wire::{Latent, Mode, Phase, Round};
 use crate::time::{Span, Time};
@@ -45,6 +45,8 @@ struct Answer {
     number: u64,
     actions: Vec<Action>,
     latents: Vec<Latent>,
+    #[serde(default)]
+    remembered: Vec<Remembered>,
 }
 
 /// Output message of the part of an Agent that is on the control thread.
@@ -209,7 +211,8 @@ impl Apart {
         let actions = answer.actions.into_iter().filter(|action| own(action.robot)).map(AgentOut::Action);
         let latents = answer.latents.into_iter().filter(|latent| own(latent.robot)).map(AgentOut::Latent);
         // As of any Agent: actuation latency matters more.
-        out.extend(actions.chain(latents).map(Out::Agent));
+        let remembered = answer.remembered.into_iter().filter(|said| own(said.robot)).map(AgentOut::Remembered);
+        out.extend(actions.chain(latents).chain(remembered).map(Out::Agent));
     }
 }
 
@@ -272,14 +275,15 @@ pub(super) fn answer(agent: &mut Agent, request: &Packet) -> Packet {
         // Some robots have no percept, and the step has waited for them.
         agent.wake(now, &mut out);
     }
-    let (mut actions, mut latents) = (Vec::new(), Vec::new());
+    let (mut actions, mut latents, mut remembered) = (Vec::new(), Vec::new(), Vec::new());
     for out in out {
         match out {
             AgentOut::Action(action) => actions.push(action),
             AgentOut::Latent(latent) => latents.push(latent),
+            AgentOut::Remembered(said) => remembered.push(said),
         }
     }
-    packet(&Answer { number, actions, latents })
+    packet(&Answer { number, actions, latents, remembered })
 }
 
 /// Returns the worker of the Agent that `make` returns on the worker's thread: it computes the Agent's policies.
@@ -401,7 +405,7 @@ mod tests {
                     Out::Agent(AgentOut::Action(action)) => {
                         speeds.push(action.velocity.map_or(f32::NAN, |velocity| (velocity.x * 100.0).round()));
                     }
-                    Out::Agent(AgentOut::Latent(_)) => {}
+                    Out::Agent(AgentOut::Latent(_) | AgentOut::Remembered(_)) => {}
                 }
             }
             speeds
@@ -558,7 +562,12 @@ mod tests {
             others: Vec::new(),
             progress: Progress::Underway,
         };
-        let forged = Answer { number: 1, actions: vec![stranger(7), stranger(u16::MAX)], latents: Vec::new() };
+        let forged = Answer {
+            number: 1,
+            actions: vec![stranger(7), stranger(u16::MAX)],
+            latents: Vec::new(),
+            remembered: Vec::new(),
+        };
         let mut out = Vec::new();
         rig.apart.handle(at_ms(101), In::Answer(packet(&forged)), &mut out);
         assert!(out.is_empty(), "{out:?}");

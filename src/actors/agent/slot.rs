@@ -6,7 +6,7 @@ use crate::actors::neighbours::Step;
 use crate::hearing::CommRange;
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::ids::RobotId;
-use crate::messages::local::Percept;
+use crate::messages::local::{Percept, Remembered};
 use crate::messages::wire::{Encoding, MAX_FLOATS, Phase, Round, all_sound};
 use crate::observation::{Bound, Dynamics, Known, Observation};
 use crate::policy::{Broadcast, Policy};
@@ -107,6 +107,8 @@ pub(super) struct Held {
 /// Outcome of a robot's step, which decides whether it acts and what it broadcasts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Outcome {
+    /// The robot has a step, which has not begun.
+    Due,
     /// The robot acts, and broadcasts its latent features.
     Sound,
     /// The robot acts, and broadcasts nothing.
@@ -242,6 +244,21 @@ impl Slot {
         let motion = self.percept.as_ref().map(|percept| percept.estimate);
         let sound = self.outcome == Outcome::Sound;
         self.held = velocity.zip(motion).map(|(velocity, motion)| Held { velocity, motion, sound });
+    }
+
+    /// Returns the digest of what the policy under test remembers after its step; `None` if it has not stepped, or has
+    /// no state.
+    pub fn remembered(&self) -> Option<Remembered> {
+        if !matches!(self.outcome, Outcome::Sound | Outcome::Silent) || self.percept.is_none() {
+            return None;
+        }
+        let mut hasher = blake3::Hasher::new();
+        for float in self.policies.run.memory()? {
+            hasher.update(&float.to_le_bytes());
+        }
+        let [a, b, c, d, e, f, g, h, ..] = *hasher.finalize().as_bytes();
+        let digest = u64::from_be_bytes([a, b, c, d, e, f, g, h]);
+        Some(Remembered { robot: self.policies.robot, digest })
     }
 
     /// Returns the age at `now` of the latent that the robot's Agent has: the time since the step that has made it. For

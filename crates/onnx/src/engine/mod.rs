@@ -29,6 +29,26 @@ pub trait Engine: Send + Sync {
     /// Notes that `robot` begins anew, with a seed for random numbers: its state is at its start. The default does
     /// nothing, for an engine that keeps nothing from one call to the next.
     fn reset(&self, _robot: RobotId, _seed: u64) {}
+
+    /// Returns the engine for the thread that asks for it, which alone uses it; `None`, the default, for one that all
+    /// threads use at once.
+    fn of_thread(&self) -> Option<Arc<dyn Engine>> {
+        None
+    }
+
+    /// Returns whether calls of several robots are made as one, if they ask before they take their answers.
+    fn is_joint(&self) -> bool {
+        false
+    }
+
+    /// Keeps the call of a robot until it takes its answer. The default does nothing.
+    fn ask(&self, _robot: RobotId, _inputs: &[Array]) {}
+
+    /// Returns the outputs of the call that the robot has asked for, which is made now with all others that wait;
+    /// `None`, the default, if it has asked for none.
+    fn answer(&self, _robot: RobotId) -> Option<Result<Vec<Array>, String>> {
+        None
+    }
 }
 
 /// Returns the name and version of the engine of this program; `None` if it was built without one.

@@ -108,6 +108,7 @@ impl Seen {
             | Event::Refused(..)
             | Event::Truth(_)
             | Event::Members(_)
+            | Event::Remembered(_)
             | Event::Recorded(_) => {}
             Event::Roster(number, sealed) => self.keeper.iter().for_each(|keeper| keeper.keep(number, sealed)),
             Event::Counts(counts) => self.counts.set(*counts),

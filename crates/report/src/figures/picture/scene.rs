@@ -428,7 +428,7 @@ mod tests {
         let sweeps = [None, Some(Sweep { mount_m: [0.5, 0.25], ..Sweep::new(3, (-FRAC_PI_2, 2.0 * FRAC_PI_2), 2.0) })];
         let values = Features([1.0, f32::INFINITY, 2.0].into());
         let sensing = |sense| {
-            let sensed = Sensed { robot: RobotId(1), sense, stamp_ns: 0, values: values.clone() };
+            let sensed = Sensed::split(RobotId(1), sense, 0, &values.0).expect("they can be sent").remove(0);
             Sensing { sensed, position: Vec2::new(1.0, 2.0), heading: FRAC_PI_2 as f32 }
         };
         let scan = scan(&sweeps, &sensing(1)).expect("it has rays");
