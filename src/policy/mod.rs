@@ -112,8 +112,8 @@ pub trait Policy {
     }
 
     /// Returns whether the steps of several robots of an Agent are computed together. Then each robot is told by
-    /// `prepare_encode` and `prepare_act` what the next `encode` and `act` of a running episode get, before the first of
-    /// them is called. The default is no.
+    /// `prepare_encode` and `prepare_act` what the next `encode` and `act` of a running episode get, before the first
+    /// of them is called. The default is no.
     fn is_joint(&self) -> bool {
         false
     }
