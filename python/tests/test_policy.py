@@ -73,9 +73,12 @@ class Counted(Field):
         self.drawn = {**self.drawn, robot: np.random.default_rng(seed)}
 
     def step(self, inputs):
+        outputs = super().step(inputs)
+        if not self.drawn:
+            # No robot has begun: it is being checked.
+            return outputs
         self.robots.append(len(inputs.state))
         self.places |= {tuple(row) for row in inputs.heard.astype(int)}
-        outputs = super().step(inputs)
         noise = [self.drawn[robot].normal(0, 0.05, 2) for robot in sorted(self.drawn)[: len(inputs.state)]]
         return murmurate.Outputs(outputs.action + np.array(noise), outputs.message, outputs.state)
 

@@ -28,14 +28,16 @@ def runs(policy, calls, **flags):
 
 def test_a_function_gets_the_observations_of_the_environment():
     env = murmurate.VecEnv("passage", 1, num_robots=3)
-    act, calls = seen_by(lambda seen: np.clip(seen[:, 0:2] - seen[:, 2:4], -1, 1))
+    act, calls = seen_by(lambda seen: np.clip(seen[:, 0:2], -0.5, 0.5))
     policy = murmurate.trained(act, env, name="straight")
-    assert list(policy.contract["observation"]) == ["goal", "position", "velocity"]
     runs(policy, calls)
-    # The third entry is where the robot is in a second: its position and its velocity.
-    seen = calls[0][0]
-    assert env.observation_fields == ["goal", "position", "position-plus-velocity"]
-    assert np.abs(seen[:, 4:6] - seen[:, 2:4]).max() < 0.2, "it begins at rest"
+    assert env.observation_fields == ["goal-minus-position", "position", "position-plus-velocity"]
+    assert list(policy.contract["observation"]) == ["goal-minus-position", "position", "velocity"]
+    # The first calls are those of the check.
+    begin, later = calls[-15][0], calls[-1][0]
+    # The third entry is the sum of position and velocity, and the first two that of a goal which stays where it is.
+    assert np.abs(begin[:, 0:2] + begin[:, 2:4] - later[:, 0:2] - later[:, 2:4]).max() < 1e-4
+    assert np.abs(later[:, 4:6] - later[:, 2:4]).max() < 1.0
 
 
 def test_what_is_no_environment_of_a_training_is_refused():
@@ -104,9 +106,12 @@ def test_a_policy_of_benchmarl(tmp_path):
     env = murmurate.VecEnv("passage", 1, num_robots=3)
 
     def act(seen):
-        team = TensorDict({"agents": {"observation": torch.from_numpy(seen)[None]}}, (1,))
+        # Its network takes the number of robots of the training: empty rows follow.
+        rows = torch.zeros(5, seen.shape[1])
+        rows[: len(seen)] = torch.from_numpy(seen)
+        team = TensorDict({"agents": {"observation": rows[None]}}, (1,))
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            return trained.policy(team)["agents", "action"][0]
+            return trained.policy(team)["agents", "action"][0, : len(seen)]
 
     noted, calls = seen_by(act)
     runs(murmurate.trained(noted, like=env), calls)
