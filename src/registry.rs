@@ -11,6 +11,7 @@
 //! assert!(registry.policy("scripted").is_some() && registry.policy("orca").is_some());
 //! ```
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::chassis::Chassis;
@@ -23,7 +24,7 @@ use crate::messages::ids::RobotId;
 use crate::net::transport;
 use crate::observers;
 use crate::policy::{self, shipped};
-use crate::scenario::{self, Scenario, ScenarioError};
+use crate::scenario::{self, Scenario, ScenarioError, TaskFile, task_file};
 use crate::senses;
 use crate::world;
 
@@ -40,9 +41,16 @@ pub struct Registry {
     estimators: Vec<estimation::Entry>,
     transports: Vec<transport::Entry>,
     observers: Vec<observers::Entry>,
+    /// Function that reads task files; `None` in a library, which reads no files.
+    reads_tasks: Option<ReadText>,
+    /// Task files whose content is known, by their paths.
+    tasks: BTreeMap<String, TaskFile>,
     /// Whether a part was added to those of the program.
     extended: bool,
 }
+
+/// Function that returns the text of a file, given its path. An error describes the fault.
+pub type ReadText = fn(&str) -> Result<String, String>;
 
 /// Error for a name that is not in the registry. Its text lists the names in the registry.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -107,6 +115,8 @@ impl Registry {
             estimators: estimation::REGISTRY.to_vec(),
             transports: transport::REGISTRY.to_vec(),
             observers: Vec::new(),
+            reads_tasks: None,
+            tasks: BTreeMap::new(),
             extended: false,
         }
     }
@@ -210,6 +220,22 @@ impl Registry {
         self
     }
 
+    /// Sets the function that reads task files, and returns the registry. A name of a scenario that ends with `.toml` is
+    /// the path of such a file.
+    pub fn reading_tasks(mut self, read: ReadText) -> Registry {
+        self.reads_tasks = Some(read);
+        self
+    }
+
+    /// Returns the registry with the task file of `scenario`, if that was made from one, under the path `name`. So
+    /// scenarios that are made later are of the same file, whatever happens to it in the meantime.
+    pub fn knowing(mut self, name: &str, scenario: &dyn Scenario) -> Registry {
+        if let Some(file) = scenario.task_file() {
+            self.tasks.insert(name.to_owned(), file.clone());
+        }
+        self
+    }
+
     /// Returns the registry as that of a program: parts that are added later are extensions of it
     /// ([`Registry::is_extended`]).
     pub fn of_program(mut self) -> Registry {
@@ -263,9 +289,27 @@ impl Registry {
         &self.policies
     }
 
-    /// Makes the scenario (task of a team) called `name`, for the team size and other values in `settings`. An error
-    /// says that the name is unknown or that the settings do not fit.
+    /// Returns the task file with the path `path`. An error says that it cannot be read, or names the wrong field.
+    pub fn task_file(&self, path: &str) -> Result<TaskFile, ScenarioError> {
+        if let Some(known) = self.tasks.get(path) {
+            return Ok(known.clone());
+        }
+        let wrong = |why: String| ScenarioError::Unread { file: path.to_owned(), why };
+        let read = self.reads_tasks.ok_or_else(|| wrong("this program reads no files".to_owned()))?;
+        let file = TaskFile::read(&read(path).map_err(wrong)?).map_err(|error| wrong(error.to_string()))?;
+        if self.scenarios.iter().any(|entry| entry.name == file.name()) {
+            return Err(wrong(format!("name: '{}' is a scenario of this program", file.name())));
+        }
+        Ok(file)
+    }
+
+    /// Makes the scenario (task of a team) called `name`, for the team size and other values in `settings`. A name that
+    /// ends with `.toml` is the path of a task file. An error says that the name is unknown or that the settings do not
+    /// fit.
     pub fn scenario(&self, name: &str, settings: &scenario::Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
+        if task_file::is_task_file(name) {
+            return self.task_file(name)?.scenario(settings);
+        }
         let scenario = scenario::build_of(&self.scenarios, name, settings)?;
         assert_eq!(scenario.name(), name, "a scenario goes by the name that it has in its registry");
         Ok(scenario)

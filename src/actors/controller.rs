@@ -10,7 +10,7 @@ use crate::messages::latch::Latch;
 use crate::messages::local::{Action, Progress};
 use crate::messages::place::Whereabouts;
 use crate::messages::round::RoundFollower;
-use crate::messages::wire::{Heartbeat, Mode, MotorCommand, Phase, Stop};
+use crate::messages::wire::{Heartbeat, Marks, Mode, MotorCommand, Phase, Stop};
 use crate::safety::filter;
 use crate::safety::guard::{Decision, Granted, Guard, SafetyCounts};
 use crate::safety::hardware::Permit;
@@ -66,8 +66,8 @@ pub struct Config {
     pub phase: Span,
     /// Whether orders are signed where they end a stop or a hold.
     pub signed: bool,
-    /// Beginning of the digest of the robot's policy, for its heartbeats; 0 in simulations.
-    pub policy: u32,
+    /// Marks of the robot's host, for its heartbeats; 0 in simulations.
+    pub marks: Marks,
 }
 
 /// Controller of one robot: an actor that passes the policy's actions through the robot's guard to its motors, and
@@ -234,7 +234,7 @@ impl Core for Controller {
         if self.next_heartbeat <= now {
             let (robot, latch) = (self.config.robot, self.guard.latch());
             let beat = Heartbeat::new(robot, self.round.round(), self.own, latch);
-            out.push(Out::Heartbeat(Heartbeat { policy: self.config.policy, ..beat }));
+            out.push(Out::Heartbeat(beat.of(self.config.marks)));
             out.push(Out::Follows(latch));
             let counts = self.guard.counts();
             if counts != self.counts_sent {
@@ -282,7 +282,7 @@ mod tests {
             valid_for: Span::from_millis(200),
             phase: Span::ZERO,
             signed: false,
-            policy: 0,
+            marks: Marks::default(),
         })
     }
 
@@ -492,7 +492,7 @@ mod tests {
             valid_for: Span::from_millis(200),
             phase: Span::ZERO,
             signed: false,
-            policy: 0,
+            marks: Marks::default(),
         });
         let task = Task { start: Vec2::zeros(), goal: Vec2::x() };
         let (phase, tasks, latch) = (Phase::Running, [task].into(), Latch::default());

@@ -2,7 +2,7 @@
 
 use crate::messages::ids::RobotId;
 use crate::messages::latch::{self, Latch};
-use crate::messages::wire::{Heartbeat, Hindrance, MAX_HINDRANCES, Phase, REVISION, Round};
+use crate::messages::wire::{Heartbeat, Hindrance, MAX_HINDRANCES, Marks, Phase, REVISION, Round};
 use crate::results::episode::AbortCause;
 use crate::time::{Span, Time};
 
@@ -15,19 +15,22 @@ pub(super) struct Presence {
     last: Vec<Option<(Time, Heartbeat)>>,
     /// Robots whose hosts have messages of another revision, each with that revision.
     unequal: Vec<(RobotId, u16)>,
-    /// Beginning of the digest of the team's policy; 0 if it is not known.
-    policy: u32,
+    /// Marks of the state server's host.
+    marks: Marks,
     /// Robots that run another policy, each with the beginning of its digest.
     mixed: Vec<(RobotId, u32)>,
+    /// Robots whose hosts have another task file, each with the beginning of its digest.
+    elsewhere: Vec<(RobotId, u32)>,
     /// Number of heartbeats whose term or latch number is too far ahead to be accepted.
     pub(super) beyond_reach: u64,
 }
 
 impl Presence {
-    /// Returns the presence of a team of `robots` before any heartbeat. `policy` is the beginning of the digest of
-    /// their policy, 0 if it is not known.
-    pub(super) fn new(robots: usize, policy: u32) -> Presence {
-        Presence { last: vec![None; robots], unequal: Vec::new(), policy, mixed: Vec::new(), beyond_reach: 0 }
+    /// Returns the presence of a team of `robots` before any heartbeat. `marks` are those of the state server's
+    /// host.
+    pub(super) fn new(robots: usize, marks: Marks) -> Presence {
+        let (unequal, mixed, elsewhere) = (Vec::new(), Vec::new(), Vec::new());
+        Presence { last: vec![None; robots], unequal, marks, mixed, elsewhere, beyond_reach: 0 }
     }
 
     /// Takes a heartbeat that arrived at time `now`. Returns whether it is of a robot of the team.
@@ -85,11 +88,11 @@ impl Presence {
         self.by_robot(now).all(|beat| beat.is_some_and(|beat| beat.round == round && beat.phase == phase))
     }
 
-    /// Returns whether the team has to stand because its hosts have messages of different revisions, or its robots
-    /// different policies.
+    /// Returns whether the team has to stand because its hosts have messages of different revisions or different
+    /// task files, or its robots different policies.
     pub(super) fn differs(&mut self, now: Time) -> bool {
-        let [unequal, mixed] = [self.is_unequal(now), self.is_mixed(now)];
-        unequal || mixed
+        let [unequal, mixed, elsewhere] = [self.is_unequal(now), self.is_mixed(now), self.is_elsewhere(now)];
+        unequal || mixed || elsewhere
     }
 
     /// Returns whether hosts of present robots have messages of another revision than this one. Logs which have which
@@ -119,10 +122,10 @@ impl Presence {
         if mixed != self.mixed {
             let each = mixed.iter().map(|(robot, policy)| format!("{robot} runs {policy:08x}"));
             match &each.collect::<Vec<_>>()[..] {
-                [] => tracing::warn!("all robots run the policy {:08x} now", self.policy),
+                [] => tracing::warn!("all robots run the policy {:08x} now", self.marks.policy),
                 each => tracing::error!(
                     "the team stands: its policy is {:08x}, {}; give all hosts the same policy file",
-                    self.policy,
+                    self.marks.policy,
                     each.join(", ")
                 ),
             }
@@ -133,7 +136,38 @@ impl Presence {
 
     /// Returns whether a robot says that it runs another policy than the team's.
     fn runs_another(&self, beat: &Heartbeat) -> bool {
-        beat.policy != self.policy && beat.policy != 0 && self.policy != 0
+        beat.policy != self.marks.policy && self.says_marks(beat)
+    }
+
+    /// Returns whether hosts of present robots have another task file than this one. Logs which have which when that
+    /// changes.
+    fn is_elsewhere(&mut self, now: Time) -> bool {
+        let others = self.present(now).filter(|beat| self.has_another_task(beat));
+        let elsewhere: Vec<(RobotId, u32)> = others.map(|beat| (beat.robot, beat.task)).collect();
+        if elsewhere != self.elsewhere {
+            let named = |task: u32| if task == 0 { "none".to_owned() } else { format!("{task:08x}") };
+            let each = elsewhere.iter().map(|(robot, task)| format!("the host of {robot} has {}", named(*task)));
+            match &each.collect::<Vec<_>>()[..] {
+                [] => tracing::warn!("all hosts have the task file {} now", named(self.marks.task)),
+                each => tracing::error!(
+                    "the team stands: the task file of this host is {}, {}; give all hosts the same task file",
+                    named(self.marks.task),
+                    each.join(", ")
+                ),
+            }
+            self.elsewhere = elsewhere;
+        }
+        !self.elsewhere.is_empty()
+    }
+
+    /// Returns whether the host of a robot says that it has another task file than this one.
+    fn has_another_task(&self, beat: &Heartbeat) -> bool {
+        beat.task != self.marks.task && self.says_marks(beat)
+    }
+
+    /// Returns whether a heartbeat has marks to compare: it is of no simulation, and not of an older version.
+    fn says_marks(&self, beat: &Heartbeat) -> bool {
+        beat.policy != 0 && self.marks.policy != 0
     }
 
     /// Returns the latest of `round` and those of the present robots, ignoring rounds too far ahead.
@@ -166,6 +200,7 @@ impl Presence {
                 None => Hindrance::Missing,
                 Some(beat) if beat.revision != REVISION => Hindrance::Unequal,
                 Some(beat) if self.runs_another(beat) => Hindrance::Policy,
+                Some(beat) if self.has_another_task(beat) => Hindrance::Task,
                 Some(beat) if beat.latch != latch => Hindrance::Latched,
                 Some(_) => return None,
             };

@@ -11,7 +11,9 @@ use crate::actor::Core;
 use crate::messages::geometry::Task;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
-use crate::messages::wire::{Heartbeat, Hindrance, Leading, Located, Mode, Phase, Release, Round, Status, Stop};
+use crate::messages::wire::{
+    Heartbeat, Hindrance, Leading, Located, Marks, Mode, Phase, Release, Round, Status, Stop,
+};
 use crate::results::episode::{AbortCause, AbortReason};
 use crate::scenario::cost::Ending;
 use crate::scenario::layout::Layouts;
@@ -86,8 +88,8 @@ pub struct Config {
     pub real: Vec<RobotId>,
     /// Largest number of robots in one instruction.
     pub block: usize,
-    /// Mark of the team's policy; 0 in simulations.
-    pub policy: u32,
+    /// Marks of this host; 0 in simulations.
+    pub marks: Marks,
 }
 
 /// State server: the actor that decides when resets and episodes begin and end, and sends instructions to robots.
@@ -126,7 +128,7 @@ impl StateServer {
     pub fn new(config: Config, robots: usize, incarnation: u32) -> StateServer {
         StateServer {
             absent: Absent::new(config.hosts.clone()),
-            presence: Presence::new(robots, config.policy),
+            presence: Presence::new(robots, config.marks),
             config,
             incarnation,
             started_unheard: false,
@@ -442,7 +444,7 @@ mod tests {
                 hosts,
                 real: Vec::new(),
                 block: 64,
-                policy: 0,
+                marks: Marks::default(),
             },
             2,
             1,
@@ -561,7 +563,7 @@ mod tests {
             }
         };
         let mut server = server();
-        server.presence = Presence::new(2, 7);
+        server.presence = Presence::new(2, Marks { policy: 7, task: 0 });
         says(&mut server, 10, Phase::NeedReset, [7, 8]);
         assert_eq!(tick(&mut server, at_ms(50)), (round(0, 0), Phase::NeedReset), "it does not begin");
         says(&mut server, 60, Phase::NeedReset, [7, 0]);
@@ -571,6 +573,29 @@ mod tests {
         server.handle(at_ms(160), In::Stop(Stop::rearm(HostId::operator(1), server.latch)), &mut Vec::new());
         says(&mut server, 170, Phase::Waiting, [8, 7]);
         assert_eq!(resume(&mut server, 180).hindrances, [(RobotId(0), Hindrance::Policy)]);
+    }
+
+    #[test]
+    fn a_team_of_unequal_task_files_stands_and_a_resume_names_the_robot() {
+        let says = |server: &mut StateServer, ms: u64, phase: Phase, tasks: [u32; 2]| {
+            for (robot, task) in RobotId::team(2).zip(tasks) {
+                let beat = Heartbeat::new(robot, server.round, phase, server.latch).of(Marks { policy: 7, task });
+                server.handle(at_ms(ms), In::Heartbeat(beat), &mut Vec::new());
+            }
+        };
+        let mut server = server();
+        server.presence = Presence::new(2, Marks { policy: 7, task: 5 });
+        for tasks in [[5, 6], [0, 5]] {
+            says(&mut server, 10, Phase::NeedReset, tasks);
+            assert_eq!(tick(&mut server, at_ms(50)), (round(0, 0), Phase::NeedReset), "it does not begin");
+        }
+        says(&mut server, 60, Phase::NeedReset, [5, 5]);
+        assert_eq!(tick(&mut server, at_ms(100)), (round(1, 0), Phase::Resetting));
+        says(&mut server, 110, Phase::Resetting, [6, 5]);
+        assert_eq!(tick(&mut server, at_ms(150)).1, Phase::Waiting);
+        server.handle(at_ms(160), In::Stop(Stop::rearm(HostId::operator(1), server.latch)), &mut Vec::new());
+        says(&mut server, 170, Phase::Waiting, [6, 5]);
+        assert_eq!(resume(&mut server, 180).hindrances, [(RobotId(0), Hindrance::Task)]);
     }
 
     #[test]
@@ -705,7 +730,7 @@ mod tests {
             hosts: Vec::new(),
             real: Vec::new(),
             block: 64,
-            policy: 0,
+            marks: Marks::default(),
         };
         let mut server = StateServer::new(config, 150, 1);
         let blocks = |server: &mut StateServer, ms: u64, phase: Phase| -> Vec<u16> {

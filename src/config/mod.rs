@@ -71,8 +71,7 @@ pub fn from_table<T: DeserializeOwned>(table: &toml::Table) -> Result<T, ConfigE
             Segment::Unknown => false,
         };
         // The error of a missing field is that of its table, and names the field itself.
-        let named = !message.starts_with("missing field") && error.path().iter().len() > 0;
-        match named && error.path().iter().all(is_shown) {
+        match error.path().iter().len() > 0 && error.path().iter().all(is_shown) {
             true => ConfigError::field(error.path().to_string(), why),
             false => ConfigError::Syntax(why),
         }

@@ -218,7 +218,7 @@ pub(super) fn wire_server(clock: &Clock, trial: &Trial, graph: &Graph) {
             .filter(|robot| graph.routes.world_host(*robot).is_none())
             .collect(),
         block: if graph.signed { MAX_SIGNED_BLOCK } else { MAX_BLOCK },
-        policy: graph.policy,
+        marks: graph.marks,
     };
     let (host, robots) = (graph.routes.server_host(), trial.deployment.robots);
     let (network, status) = (graph.network_of(host), graph.status_of(host));

@@ -248,7 +248,7 @@ fn wire_controller(clock: &Clock, trial: &Trial, graph: &Graph, robot: RobotId, 
         valid_for: COMMAND_VALIDITY,
         phase: phase(trial, "controller", robot, controller::HEARTBEAT_PERIOD),
         signed: graph.signed,
-        policy: graph.policy,
+        marks: graph.marks,
     };
     let (network, status) = (graph.network_of(host), graph.status_of(host));
     let events = Rc::clone(&graph.events);

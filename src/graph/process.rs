@@ -16,7 +16,7 @@ use crate::graph::event::{Event, Events, Report};
 use crate::graph::inputs::{DeviceId, Input};
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::latch::Latch;
-use crate::messages::wire::{Kind, Stop, Wire};
+use crate::messages::wire::{Kind, Marks, Stop, Wire};
 use crate::net::media::ether;
 use crate::net::protocol::limits::LOSS_TO_REPEAT;
 use crate::net::protocol::link::Identity;
@@ -116,8 +116,8 @@ pub struct Graph {
     pub(super) events: Rc<Events>,
     /// Whether members sign what others may pass on, and operators what ends a stop or a hold.
     pub(super) signed: bool,
-    /// Mark of the team's policy, which heartbeats have; 0 in a simulation, where all robots have the same policy.
-    pub(super) policy: u32,
+    /// Marks of this process, which heartbeats have; 0 in a simulation, where all robots have the same policy and task.
+    pub(super) marks: Marks,
 }
 
 /// Function that is called with the number of an episode when it begins.
@@ -190,7 +190,7 @@ impl Graph {
             recorder,
             episodes: EpisodeNotice::default(),
             routes,
-            policy: if process.emulated { 0 } else { trial.models.mark() },
+            marks: if process.emulated { Marks::default() } else { trial.marks() },
             signed: process.ends.values().any(|end| end.key.as_ref().is_some_and(|key| key.signatures().is_some())),
         }
     }

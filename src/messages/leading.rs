@@ -30,18 +30,37 @@ pub struct Heartbeat {
     /// sent, in simulations and from versions before it.
     #[serde(default, skip_serializing_if = "is_unsaid")]
     pub policy: u32,
+    /// Beginning of the digest of the team's task file, by which hosts with unequal ones are noticed; 0, which is not
+    /// sent, in simulations and for a scenario that is not from a file. It is sent with a policy alone.
+    #[serde(default, skip_serializing_if = "is_unsaid")]
+    pub task: u32,
+}
+
+/// Beginnings of the digests of what all hosts of a team must have alike, as heartbeats say them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Marks {
+    /// Mark of the policy; 0 in simulations, and where it is not known.
+    pub policy: u32,
+    /// Mark of the task file; 0 in simulations, and for a scenario that is not from a file.
+    pub task: u32,
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
-fn is_unsaid(policy: &u32) -> bool {
-    *policy == 0
+fn is_unsaid(mark: &u32) -> bool {
+    *mark == 0
 }
 
 impl Heartbeat {
     /// Makes a heartbeat of `robot`, which follows the instruction of `round`, is in `phase` itself, and follows
     /// `latch`.
     pub fn new(robot: RobotId, round: Round, phase: Phase, latch: Latch) -> Heartbeat {
-        Heartbeat { robot, round, phase, latch, revision: REVISION, policy: 0 }
+        Heartbeat { robot, round, phase, latch, revision: REVISION, policy: 0, task: 0 }
+    }
+
+    /// Returns the heartbeat with the marks of the robot's host.
+    pub(crate) fn of(self, Marks { policy, task }: Marks) -> Heartbeat {
+        // A mark after one that is left out would be taken for it.
+        Heartbeat { policy, task: if policy == 0 { 0 } else { task }, ..self }
     }
 }
 

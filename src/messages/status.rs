@@ -36,14 +36,22 @@ pub enum Hindrance {
     Unequal,
     /// The robot runs another policy than that of the state server's team file.
     Policy,
+    /// The robot's host has another task file than the state server's.
+    Task,
     /// A reason of a later version.
     Other = 255,
 }
 
 impl Hindrance {
     /// All reasons of this version, in the order of their numbers.
-    pub(crate) const ALL: [Hindrance; 5] =
-        [Hindrance::Missing, Hindrance::Left, Hindrance::Latched, Hindrance::Unequal, Hindrance::Policy];
+    pub(crate) const ALL: [Hindrance; 6] = [
+        Hindrance::Missing,
+        Hindrance::Left,
+        Hindrance::Latched,
+        Hindrance::Unequal,
+        Hindrance::Policy,
+        Hindrance::Task,
+    ];
 }
 
 numbered!(Hindrance);

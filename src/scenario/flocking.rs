@@ -63,7 +63,7 @@ pub struct Flocking {
 pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let robots = ROBOTS.check("flocking", settings.robots.unwrap_or(DEFAULT_ROBOTS))?;
     if let Some(gap_m) = settings.gap_m {
-        return Err(ScenarioError::Gap { scenario: "flocking", gap_m, hint: "; it has no walls" });
+        return Err(ScenarioError::Gap { scenario: "flocking".to_owned(), gap_m, hint: "; it has no walls" });
     }
     let size = Size::of("flocking", settings)?;
     size.check_places(("flocking", "robots at least"), settings, SPACING_M)?;

@@ -2,7 +2,7 @@
 //!
 //! To add a scenario, add one file and one line in `REGISTRY`; `tests/graph/contracts.rs` then tests it. Another crate
 //! adds its scenario in the line where it makes its `Registry`, and tests it with [`contract::check`]. The code of this
-//! folder uses no policy, network or actor.
+//! folder uses no policy, network or actor. `task_file` makes scenarios from data.
 
 pub mod arena;
 pub mod contract;
@@ -14,6 +14,8 @@ mod passage;
 pub mod sightings;
 pub mod size;
 mod swap;
+pub mod task_file;
+mod weights;
 
 use std::fmt::{self, Debug};
 use std::sync::Arc;
@@ -21,7 +23,10 @@ use std::sync::Arc;
 pub use arena::{Arena, KeepOut, Portal};
 pub use cost::Cost;
 pub use size::Size;
+pub use task_file::TaskFile;
+pub use weights::Weights;
 
+use crate::config::ConfigError;
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
 use crate::observation::{Channel, Observation, PolicyFrame};
@@ -66,8 +71,9 @@ pub struct TeamAfterStep<'a> {
 /// those of the commanded point. It is the centre of a holonomic robot, and a point ahead of the axle of a differential
 /// drive.
 pub trait Scenario: Debug + Send + Sync {
-    /// Returns the name by which a user selects the scenario on the command line.
-    fn name(&self) -> &'static str;
+    /// Returns the name of the scenario, by which a user selects it on the command line. That of a task file is the name
+    /// in the file, and it is selected by the file's path.
+    fn name(&self) -> &str;
 
     /// Returns the number of robots in the team.
     fn robots(&self) -> usize;
@@ -171,6 +177,17 @@ pub trait Scenario: Debug + Send + Sync {
 
     /// Returns the criteria for success and failure of an episode.
     fn rules(&self) -> Rules;
+
+    /// Returns the weights that the scenario gives to terms of the reward, which replace those of a training's preset.
+    /// The default is none.
+    fn weights(&self) -> Weights {
+        Weights::default()
+    }
+
+    /// Returns the task file from which the scenario was made; `None`, the default, for one that is written in Rust.
+    fn task_file(&self) -> Option<&TaskFile> {
+        None
+    }
 }
 
 /// Team sizes that a scenario supports: a range of numbers of robots, possibly only the multiples of a number.
@@ -197,9 +214,9 @@ impl TeamSizes {
 
     /// Returns `robots` if it is a supported team size. Otherwise the error names the supported sizes and the scenario,
     /// whose name is `scenario`.
-    pub fn check(self, scenario: &'static str, robots: usize) -> Result<usize, ScenarioError> {
+    pub fn check(self, scenario: &str, robots: usize) -> Result<usize, ScenarioError> {
         let supported = (self.least..=self.most).contains(&robots) && robots.is_multiple_of(self.multiple_of);
-        if supported { Ok(robots) } else { Err(ScenarioError::Robots { scenario, sizes: self, robots }) }
+        if supported { Ok(robots) } else { Err(ScenarioError::Robots { scenario: scenario.to_owned(), sizes: self, robots }) }
     }
 }
 
@@ -275,7 +292,7 @@ pub enum ScenarioError {
     #[error("the scenario '{scenario}' takes {sizes}, not {robots}")]
     Robots {
         /// Name of the scenario.
-        scenario: &'static str,
+        scenario: String,
         /// Numbers of robots that the scenario supports.
         sizes: TeamSizes,
         /// Number of robots that was requested.
@@ -285,7 +302,7 @@ pub enum ScenarioError {
     #[error("the scenario '{scenario}' has no gap of {gap_m} m{hint}")]
     Gap {
         /// Name of the scenario.
-        scenario: &'static str,
+        scenario: String,
         /// Width of the bottleneck that was requested \[m\].
         gap_m: f32,
         /// Supported widths, or the reason why there are none; a text that ends the error message.
@@ -295,7 +312,7 @@ pub enum ScenarioError {
     #[error("the scenario '{scenario}' {why}")]
     Size {
         /// Name of the scenario.
-        scenario: &'static str,
+        scenario: String,
         /// Name of the setting: `scale`, `hull_m` or `gap_m`.
         field: &'static str,
         /// Supported values, or the reason why there are none; a text that ends the error message.
@@ -305,9 +322,25 @@ pub enum ScenarioError {
     #[error("the scenario '{scenario}': {why}")]
     Refused {
         /// Name of the scenario.
-        scenario: &'static str,
+        scenario: String,
         /// Reason of the refusal, for the user.
         why: String,
+    },
+    /// The text of a task file cannot be read.
+    #[error("the task file '{file}': {why}")]
+    Unread {
+        /// Path of the file, as it was given.
+        file: String,
+        /// Description of the fault.
+        why: String,
+    },
+    /// A field of a task file is wrong, or cannot be with the others and with the settings.
+    #[error("the task '{scenario}': {error}")]
+    TaskFile {
+        /// Name of the task.
+        scenario: String,
+        /// Error that names the field.
+        error: ConfigError,
     },
 }
 
@@ -318,7 +351,10 @@ impl ScenarioError {
             ScenarioError::Robots { .. } => "robots",
             ScenarioError::Gap { .. } => "gap_m",
             ScenarioError::Size { field, .. } => field,
-            ScenarioError::Unknown { .. } | ScenarioError::Refused { .. } => "scenario",
+            ScenarioError::Unknown { .. }
+            | ScenarioError::Refused { .. }
+            | ScenarioError::Unread { .. }
+            | ScenarioError::TaskFile { .. } => "scenario",
         }
     }
 }
@@ -341,7 +377,7 @@ pub(crate) fn build_of(all: &[Entry], name: &str, settings: &Settings) -> Result
     let size = Size::of(entry.name, settings)?;
     let one_size = |field, what: &str| {
         let why = format!("has one {what} only: leave {field} out, or let its author read it (Settings::{field})");
-        Err(ScenarioError::Size { scenario: entry.name, field, why })
+        Err(ScenarioError::Size { scenario: entry.name.to_owned(), field, why })
     };
     let arena = scenario.arena();
     if settings.hull_m.is_some() && (arena.robot_radius_m / size.robot_radius_m() - 1.0).abs() > 1e-4 {

@@ -87,7 +87,7 @@ pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
             "has no gap of {gap_m} m; it may be {least} to {most} m wide with a hull of {} m at scale {}",
             size.hull_m, size.scale
         );
-        return Err(ScenarioError::Size { scenario: "passage", field: "gap_m", why });
+        return Err(ScenarioError::Size { scenario: "passage".to_owned(), field: "gap_m", why });
     }
     let passage = Passage::new(robots, gap_m, size);
     if !passage.has_room() {
@@ -97,7 +97,7 @@ pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
              (hull_m), a larger scale or fewer robots",
             size.scale, size.hull_m
         );
-        return Err(ScenarioError::Size { scenario: "passage", field, why });
+        return Err(ScenarioError::Size { scenario: "passage".to_owned(), field, why });
     }
     Ok(Arc::new(passage))
 }

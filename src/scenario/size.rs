@@ -16,9 +16,9 @@ const ROOM_PER_HULL: f32 = 1.5625;
 const SCALES: (f32, f32) = (0.05, 20.0);
 /// Smallest and largest radius of a hull \[m\]. Twice the largest, and the margin of the least distance that robots
 /// keep, is within what a team file may set (`safety.distance_min_m`).
-const HULLS_M: (f32, f32) = (0.01, 0.85);
+pub(super) const HULLS_M: (f32, f32) = (0.01, 0.85);
 /// Factor by which two robots in their places are farther apart than they need, so that rounding does not decide.
-const APART: f32 = 1.001;
+pub(super) const APART: f32 = 1.001;
 
 /// Size of a task: the factor on its lengths, and how large its robots are.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,12 +32,12 @@ pub struct Size {
 impl Size {
     /// Returns the size that the `settings` of the scenario named `scenario` give; without a setting, scale 1 and the
     /// hull of the paper's robots. An error names the setting.
-    pub(crate) fn of(scenario: &'static str, settings: &Settings) -> Result<Size, ScenarioError> {
+    pub(crate) fn of(scenario: &str, settings: &Settings) -> Result<Size, ScenarioError> {
         let fields = [("scale", settings.scale, SCALES, ""), ("hull_m", settings.hull_m, HULLS_M, " m")];
         for (field, value, (least, most), unit) in fields {
             if let Some(value) = value.filter(|value| !(least..=most).contains(value)) {
                 let why = format!("takes {least} to {most}{unit}, not {value}");
-                return Err(ScenarioError::Size { scenario, field, why });
+                return Err(ScenarioError::Size { scenario: scenario.to_owned(), field, why });
             }
         }
         Ok(Size { scale: settings.scale.unwrap_or(1.0), hull_m: settings.hull_m.unwrap_or(HULL_M) })
@@ -70,7 +70,7 @@ impl Size {
     /// that would do.
     pub(crate) fn check_places(
         &self,
-        (scenario, ground): (&'static str, &str),
+        (scenario, ground): (&str, &str),
         settings: &Settings,
         apart_m: f32,
     ) -> Result<(), ScenarioError> {
@@ -85,7 +85,7 @@ impl Size {
              hull (hull_m) of at most {hull} m, or a scale of at least {scale}",
             self.scale, self.hull_m
         );
-        Err(ScenarioError::Size { scenario, field, why })
+        Err(ScenarioError::Size { scenario: scenario.to_owned(), field, why })
     }
 }
 

@@ -46,7 +46,7 @@ pub struct Swap {
 pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let robots = ROBOTS.check("swap", settings.robots.unwrap_or(8))?;
     if let Some(gap_m) = settings.gap_m {
-        return Err(ScenarioError::Gap { scenario: "swap", gap_m, hint: "; it has no walls" });
+        return Err(ScenarioError::Gap { scenario: "swap".to_owned(), gap_m, hint: "; it has no walls" });
     }
     let size = Size::of("swap", settings)?.by_hull(settings);
     let per_row = robots.isqrt() + usize::from(robots.isqrt().pow(2) < robots);

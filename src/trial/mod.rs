@@ -28,7 +28,7 @@ use crate::faults::FaultPlan;
 use crate::hearing::CommRange;
 use crate::hearing::Handling;
 use crate::messages::ids::RobotId;
-use crate::messages::wire::Stop;
+use crate::messages::wire::{Marks, Stop};
 use crate::observation::{Bound, ChannelError, Dynamics};
 use crate::policy::{self, Model, Models};
 use crate::random::Seed;
@@ -36,7 +36,7 @@ use crate::registry::Registry;
 use crate::results::totals::Steps;
 use crate::safety::{Clamp, Safety, Switch};
 use crate::scenario::layout::Layouts;
-use crate::scenario::{Arena, Scenario, Settings};
+use crate::scenario::{Arena, Scenario, Settings, TaskFile};
 use crate::time::{Span, Time};
 use crate::world::{self, Physics, Placement, kinematic};
 
@@ -340,6 +340,11 @@ impl Trial {
     /// role, or that of its policy.
     pub fn comm_range(&self, robot: RobotId) -> CommRange {
         self.range.unwrap_or(CommRange::fixed(self.deployment.radius_m(robot, &self.models)))
+    }
+
+    /// Returns the marks of policy and task file, by which hosts with unequal ones are noticed.
+    pub(crate) fn marks(&self) -> Marks {
+        Marks { policy: self.models.mark(), task: self.scenario.task_file().map_or(0, TaskFile::mark) }
     }
 
     /// Returns the largest mean of the ranges within which robots use each other's messages \[m\].

@@ -110,9 +110,11 @@ fn message() -> impl Strategy<Value = Wire> {
     let command = (robot(), motion(), 0..=MAX_VALIDITY.as_nanos()).prop_map(|(robot, motion, ns)| {
         Wire::MotorCommand(MotorCommand { robot, velocity: motion.velocity, valid_for: Span::from_nanos(ns) })
     });
-    let beat = (robot(), round(), phase(), latch(), any::<(u16, u32)>());
-    let beat = beat.prop_map(|(robot, round, phase, latch, (revision, policy))| {
-        Wire::Heartbeat(Heartbeat { revision, policy, ..Heartbeat::new(robot, round, phase, latch) })
+    let beat = (robot(), round(), phase(), latch(), any::<(u16, u32, u32)>());
+    let beat = beat.prop_map(|(robot, round, phase, latch, (revision, policy, task))| {
+        // It is sent with a policy alone.
+        let task = if policy == 0 { 0 } else { task };
+        Wire::Heartbeat(Heartbeat { revision, policy, task, ..Heartbeat::new(robot, round, phase, latch) })
     });
     let tasks = prop::collection::vec(motion(), 1..=MAX_BLOCK);
     let mode = (round(), any::<u32>(), phase(), 0u16..1000, tasks, latch());

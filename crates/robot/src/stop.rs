@@ -233,6 +233,9 @@ impl Asked<'_> {
                         Hindrance::Policy => {
                             format!("{robot} runs another policy: give all hosts the same policy file")
                         }
+                        Hindrance::Task => {
+                            format!("the host of {robot} has another task file: give all hosts the same")
+                        }
                         Hindrance::Other => format!("{robot}, for a reason that only a later version knows"),
                     };
                     let all: Vec<String> = order.hindrances().iter().map(of).collect();

@@ -25,7 +25,7 @@ struct Round {
 fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let robots = TeamSizes::new(1, 8).check(ROUND.name, settings.robots.unwrap_or(5))?;
     if let Some(gap_m) = settings.gap_m {
-        return Err(ScenarioError::Gap { scenario: ROUND.name, gap_m, hint: "; it has no walls" });
+        return Err(ScenarioError::Gap { scenario: ROUND.name.to_owned(), gap_m, hint: "; it has no walls" });
     }
     let half_extent = Vec2::new(2.5, 2.5);
     let arena = Arena { half_extent, keep_outs: Vec::new(), portals: Vec::new(), robot_radius_m: 0.25 };

@@ -31,7 +31,7 @@ struct Spread {
 fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     TeamSizes::new(ROBOTS, ROBOTS).check(SPREAD.name, settings.robots.unwrap_or(ROBOTS))?;
     if let Some(gap_m) = settings.gap_m {
-        return Err(ScenarioError::Gap { scenario: SPREAD.name, gap_m, hint: "; it has no walls" });
+        return Err(ScenarioError::Gap { scenario: SPREAD.name.to_owned(), gap_m, hint: "; it has no walls" });
     }
     Ok(Arc::new(Spread { arena: arena() }))
 }

@@ -1,0 +1,193 @@
+//! Areas of a task file: discs, rectangles and formations, in which places of robots are drawn.
+
+use rand::RngExt;
+use rand::seq::SliceRandom;
+
+use super::fields::Shape;
+use crate::messages::geometry::Vec2;
+use crate::random::Stream;
+use crate::scenario::arena::{Arena, KeepOut, Portal};
+use crate::scenario::size::APART;
+
+/// Room \[m\] that a drawn place has from walls beyond the robots' radius, as in the scenario `passage`.
+const ROOM_M: f32 = 0.05;
+/// Radius of the robots for which that room was chosen \[m\]; smaller ones have less in proportion.
+const CHOSEN_FOR_M: f32 = 0.25;
+/// Number of times that the places of a team are drawn anew, and number of draws of each place, before they are those
+/// of a lattice.
+const TRIES: (usize, usize) = (16, 48);
+/// Spacing of that lattice, in the least distance of two places.
+const LATTICE: f32 = 1.05;
+/// Largest number of points of a lattice along each axis.
+const MOST_POINTS: f32 = 400.0;
+
+/// Area in which places of robots are drawn \[m\], world frame.
+#[derive(Clone, Debug)]
+pub struct Area {
+    /// Blocks whose points within `radius_m` are the area: the rectangle, the centre of the disc, or the points of the
+    /// formation.
+    cores: Vec<KeepOut>,
+    /// Radius of the disc \[m\]; zero for other areas.
+    radius_m: f32,
+    /// Whether the area is a formation, whose points are the places.
+    is_formation: bool,
+}
+
+impl Area {
+    /// Returns the area of a shape whose lengths are multiplied by `scale`.
+    pub fn of(shape: &Shape, scale: f32) -> Area {
+        let point = |x: f32, y: f32| KeepOut { min: Vec2::new(x, y) * scale, max: Vec2::new(x, y) * scale };
+        match shape {
+            Shape::Rect([x, y, far_x, far_y]) => Area {
+                cores: vec![KeepOut { min: Vec2::new(*x, *y) * scale, max: Vec2::new(*far_x, *far_y) * scale }],
+                radius_m: 0.0,
+                is_formation: false,
+            },
+            Shape::Disc([x, y, radius_m]) => {
+                Area { cores: vec![point(*x, *y)], radius_m: radius_m * scale, is_formation: false }
+            }
+            Shape::Points(points) => Area {
+                cores: points.iter().map(|[x, y]| point(*x, *y)).collect(),
+                radius_m: 0.0,
+                is_formation: true,
+            },
+        }
+    }
+
+    /// Returns the least distance \[m\] between points of two areas; zero if they overlap.
+    pub fn distance(&self, other: &Area) -> f32 {
+        let pairs = self.cores.iter().flat_map(|a| other.cores.iter().map(move |b| apart_m(a, b)));
+        (pairs.fold(f32::INFINITY, f32::min) - self.radius_m - other.radius_m).max(0.0)
+    }
+
+    /// Returns the points of a formation \[m\]; empty for other areas.
+    pub fn points(&self) -> Vec<Vec2> {
+        if self.is_formation { self.cores.iter().map(|core| core.min).collect() } else { Vec::new() }
+    }
+
+    /// Returns the number of robots for which the area certainly has room, at most `wanted`.
+    pub fn room(&self, arena: &Arena, wanted: usize) -> usize {
+        let places = if self.is_formation { self.points() } else { self.lattice(arena) };
+        let mut apart: Vec<Vec2> = Vec::new();
+        for place in places {
+            if apart.len() < wanted && is_apart(place, &apart, arena) && admits(self.is_formation, arena, place) {
+                apart.push(place);
+            }
+        }
+        apart.len()
+    }
+
+    /// Draws `count` places \[m\] in the area. It must have room for them.
+    pub fn draw(&self, arena: &Arena, count: usize, stream: &mut Stream) -> Vec<Vec2> {
+        let mut places = if self.is_formation { self.points() } else { Vec::new() };
+        if !self.is_formation {
+            for _ in 0..TRIES.0 {
+                if let Some(drawn) = self.try_draw(arena, count, stream) {
+                    return drawn;
+                }
+            }
+            places = self.lattice(arena);
+        }
+        places.shuffle(stream);
+        places.truncate(count);
+        places
+    }
+
+    fn try_draw(&self, arena: &Arena, count: usize, stream: &mut Stream) -> Option<Vec<Vec2>> {
+        let (low, high) = self.bounds();
+        let mut drawn: Vec<Vec2> = Vec::with_capacity(count);
+        for _ in 0..count {
+            let place = (0..TRIES.1).find_map(|_| {
+                let place = Vec2::new(stream.random_range(low.x..=high.x), stream.random_range(low.y..=high.y));
+                let fits = self.has(place) && admits(false, arena, place) && is_apart(place, &drawn, arena);
+                fits.then_some(place)
+            });
+            drawn.push(place?);
+        }
+        Some(drawn)
+    }
+
+    /// Returns the points of a lattice in the area at which robots have room.
+    fn lattice(&self, arena: &Arena) -> Vec<Vec2> {
+        let (low, high) = self.bounds();
+        let size = high - low;
+        let step_m = (LATTICE * least_m(arena)).max(size.max() / MOST_POINTS);
+        let steps = size.map(|side| (side / step_m).floor());
+        let from = low + (size - steps * step_m) / 2.0;
+        let column = |x: usize| (0..=steps.y as usize).map(move |y| from + Vec2::new(x as f32, y as f32) * step_m);
+        let points = (0..=steps.x as usize).flat_map(column);
+        points.filter(|point| self.has(*point) && admits(false, arena, *point)).collect()
+    }
+
+    fn bounds(&self) -> (Vec2, Vec2) {
+        let core = &self.cores[0];
+        (core.min.add_scalar(-self.radius_m), core.max.add_scalar(self.radius_m))
+    }
+
+    fn has(&self, point: Vec2) -> bool {
+        self.cores.iter().any(|core| core.distance(point) <= self.radius_m)
+    }
+}
+
+/// Returns the distance \[m\] between two blocks; zero if they overlap.
+pub fn apart_m(a: &KeepOut, b: &KeepOut) -> f32 {
+    (a.min - b.max).sup(&(b.min - a.max)).sup(&Vec2::zeros()).norm()
+}
+
+/// Returns the least distance of two places \[m\].
+pub fn least_m(arena: &Arena) -> f32 {
+    APART * 2.0 * arena.robot_radius_m
+}
+
+/// Returns whether a robot may have its place at a point \[m\]. A place that is drawn also has room to move, and is
+/// out of the bottlenecks.
+fn admits(is_given: bool, arena: &Arena, place: Vec2) -> bool {
+    let radius_m = arena.robot_radius_m;
+    let room_m = ROOM_M * (radius_m / CHOSEN_FOR_M).min(1.0);
+    let is_out = |portal: &Portal| {
+        let [min, max] = [portal.near.inf(&portal.far), portal.near.sup(&portal.far)];
+        KeepOut { min, max }.distance(place) >= 2.0 * radius_m
+    };
+    arena.admits(place)
+        && (is_given || arena.clearance(place) >= radius_m + room_m && arena.portals.iter().all(is_out))
+}
+
+fn is_apart(place: Vec2, others: &[Vec2], arena: &Arena) -> bool {
+    others.iter().all(|other| (other - place).norm() >= least_m(arena))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Seed;
+
+    fn open(half: f32) -> Arena {
+        Arena { half_extent: Vec2::repeat(half), keep_outs: vec![], portals: vec![], robot_radius_m: 0.25 }
+    }
+
+    #[test]
+    fn places_are_in_their_area_and_apart_also_where_it_is_almost_full() {
+        let arena = open(2.0);
+        for shape in [Shape::Rect([-1.0, -1.0, 1.0, 0.0]), Shape::Disc([0.5, 0.5, 0.9])] {
+            let area = Area::of(&shape, 1.0);
+            let room = area.room(&arena, 100);
+            assert!((3..12).contains(&room), "{room}");
+            for seed in 0..50 {
+                let places = area.draw(&arena, room, &mut Seed::of_run(seed).stream("places"));
+                assert_eq!(places.len(), room);
+                for (at, place) in places.iter().enumerate() {
+                    assert!(area.has(*place) && is_apart(*place, &places[..at], &arena), "{place:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn distances_of_areas_are_those_of_their_nearest_points() {
+        let rect = Area::of(&Shape::Rect([-1.0, -1.0, 0.0, 1.0]), 1.0);
+        let disc = Area::of(&Shape::Disc([2.0, 0.0, 0.5]), 1.0);
+        let points = Area::of(&Shape::Points(vec![[0.0, 4.0], [9.0, 9.0]]), 1.0);
+        assert_eq!((rect.distance(&disc), rect.distance(&points)), (1.5, 3.0));
+        assert_eq!(disc.distance(&Area::of(&Shape::Disc([2.5, 0.0, 0.5]), 1.0)), 0.0);
+    }
+}

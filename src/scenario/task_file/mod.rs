@@ -1,0 +1,236 @@
+//! Tasks as data: a scenario that is made from the text of a task file (TOML), without Rust.
+//!
+//! `fields` has what may be written, `areas` and `places` the starts and goals, `doors` the bottlenecks that it finds,
+//! `ways` the lengths of paths. A file is read where the program reads files; this code gets its text.
+
+mod areas;
+mod doors;
+mod fields;
+mod places;
+mod ways;
+
+use std::sync::Arc;
+
+use rand::RngExt;
+
+use self::areas::{apart_m, least_m};
+use self::fields::{Fields, Obstacles, Shape};
+use self::places::Places;
+use self::ways::Ways;
+use super::arena::{Arena, KeepOut};
+use super::size::Size;
+use super::{Rules, Scenario, ScenarioError, Settings, TeamSizes, Weights};
+use crate::config::ConfigError;
+use crate::messages::geometry::{Task, Vec2};
+use crate::observation::PolicyFrame;
+use crate::random::{Seed, Stream};
+use crate::time::Span;
+
+/// End of a name that is the path of a task file.
+pub const ENDING: &str = ".toml";
+/// Number of draws of each obstacle, before there is no room for it.
+const TRIES: usize = 1000;
+/// Free ground between a drawn obstacle and other blocks, in radii of the robots: that of a door.
+const FREE: f32 = 2.5;
+
+/// Task as data: the content of a task file, which was checked by itself. A scenario is made from it for a team size.
+#[derive(Clone, Debug)]
+pub struct TaskFile {
+    text: Arc<str>,
+    fields: Arc<Fields>,
+}
+
+/// Scenario that was made from a task file.
+#[derive(Debug)]
+struct FromFile {
+    file: TaskFile,
+    robots: usize,
+    arena: Arena,
+    places: Places,
+    rules: Rules,
+    ways: Ways,
+}
+
+/// Returns whether a name of a scenario is the path of a task file: it ends with `.toml`.
+pub fn is_task_file(name: &str) -> bool {
+    name.ends_with(ENDING)
+}
+
+impl TaskFile {
+    /// Reads the text of a task file. An error is one line that names the field.
+    pub fn read(text: &str) -> Result<TaskFile, ConfigError> {
+        Ok(TaskFile { fields: Arc::new(Fields::read(text)?), text: text.into() })
+    }
+
+    /// Returns the name of the task.
+    pub fn name(&self) -> &str {
+        &self.fields.name
+    }
+
+    /// Returns the description of the task in one line; empty if it has none.
+    pub fn about(&self) -> &str {
+        &self.fields.about
+    }
+
+    /// Returns the text of the file.
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// Returns a digest of the text of the file: 16 hexadecimal digits.
+    pub fn digest(&self) -> String {
+        blake3::hash(self.text.as_bytes()).to_hex()[..16].to_owned()
+    }
+
+    /// Returns a number by which unequal task files are told apart: the beginning of the digest. Never 0.
+    pub fn mark(&self) -> u32 {
+        let [a, b, c, d, ..] = *blake3::hash(self.text.as_bytes()).as_bytes();
+        u32::from_be_bytes([a, b, c, d]).max(1)
+    }
+
+    /// Returns the smallest and the largest number of robots of a team.
+    pub fn team_sizes(&self) -> TeamSizes {
+        TeamSizes::new(self.fields.robots.least, self.fields.robots.most)
+    }
+
+    /// Makes the scenario with a user's `settings`. An error names the setting that the task does not support, or the
+    /// field of the file that cannot be.
+    pub fn scenario(&self, settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
+        let name = self.name();
+        let robots = self.team_sizes().check(name, settings.robots.unwrap_or(self.fields.robots.default))?;
+        if let Some(gap_m) = settings.gap_m {
+            let hint = "; the walls of a task file are as wide apart as it says";
+            return Err(ScenarioError::Gap { scenario: name.to_owned(), gap_m, hint });
+        }
+        let hull_m = settings.hull_m.unwrap_or(self.fields.hull_m);
+        let size = Size::of(name, &Settings { hull_m: Some(hull_m), ..*settings })?;
+        let separation_m = self.fields.rules.separation_m;
+        if separation_m.is_some() && hull_m != self.fields.hull_m {
+            let why = "says rules.separation_m, which is for the hull in its file: leave one of them out".to_owned();
+            return Err(ScenarioError::Size { scenario: name.to_owned(), field: "hull_m", why });
+        }
+        let wrong = |error| ScenarioError::TaskFile { scenario: name.to_owned(), error };
+        let arena = self.arena(size).map_err(wrong)?;
+        let limit = Span::from_secs(self.fields.rules.limit_s * f64::from(size.scale.max(1.0)));
+        let rules = Rules {
+            arrival_m: size.length(self.fields.rules.arrival_m),
+            separation_m: separation_m.unwrap_or(size.separation_m()),
+            limit,
+        };
+        let places = Places::of(&self.fields, size.scale);
+        places.check(robots, &arena, rules.arrival_m).map_err(wrong)?;
+        let ways = Ways::new(&arena);
+        Ok(Arc::new(FromFile { file: self.clone(), robots, arena, places, rules, ways }))
+    }
+
+    /// Returns the ground with its walls, the obstacles that are drawn, and the doors between them.
+    fn arena(&self, size: Size) -> Result<Arena, ConfigError> {
+        let rect = |[x, y, far_x, far_y]: [f32; 4]| KeepOut {
+            min: Vec2::new(x, y) * size.scale,
+            max: Vec2::new(far_x, far_y) * size.scale,
+        };
+        let walls = self.fields.walls.iter().map(|wall| match wall {
+            Shape::Rect(corners) => rect(*corners),
+            Shape::Disc(_) | Shape::Points(_) => unreachable!("walls are rectangles: the check of the fields says so"),
+        });
+        let mut arena = Arena {
+            half_extent: Vec2::from(self.fields.half_extent_m) * size.scale,
+            keep_outs: walls.collect(),
+            portals: Vec::new(),
+            robot_radius_m: size.robot_radius_m(),
+        };
+        let given: Vec<Vec2> = self.points().into_iter().map(|point| point * size.scale).collect();
+        for (at, obstacles) in self.fields.obstacles.iter().enumerate() {
+            let bounds = rect(obstacles.within);
+            let stream = Seed::of_run(u64::from(obstacles.seed)).stream(&format!("task-file/obstacles/{at}"));
+            draw(&mut arena, (obstacles, stream), (bounds, size.scale), &given)
+                .ok_or_else(|| ConfigError::field(format!("obstacles[{at}]"), no_room(obstacles)))?;
+        }
+        arena.portals = doors::portals(&arena);
+        Ok(arena)
+    }
+
+    /// Returns the places that the file gives one by one \[m\].
+    fn points(&self) -> Vec<Vec2> {
+        let Fields { start, goal, exchange, places, .. } = &*self.fields;
+        let shapes = start.iter().chain(goal).chain(exchange.iter().flatten());
+        let points = shapes.filter_map(|shape| match shape {
+            Shape::Points(points) => Some(points),
+            Shape::Rect(_) | Shape::Disc(_) => None,
+        });
+        points.chain(places).flatten().map(|point| Vec2::from(*point)).collect()
+    }
+}
+
+fn no_room(obstacles: &Obstacles) -> String {
+    format!("there is no room for {} of them between what else there is: take fewer or smaller ones", obstacles.count)
+}
+
+/// Adds obstacles to an arena, with free ground between them and around the places that are given; `None` if there is
+/// no room. The stream depends on the file alone, so all hosts draw the same.
+fn draw(
+    arena: &mut Arena,
+    (obstacles, mut stream): (&Obstacles, Stream),
+    (bounds, scale): (KeepOut, f32),
+    places: &[Vec2],
+) -> Option<()> {
+    let size = Vec2::from(obstacles.size_m) * scale;
+    let room = (bounds.max - bounds.min - size).sup(&Vec2::zeros());
+    for _ in 0..obstacles.count {
+        let drawn = (0..TRIES).find_map(|_| {
+            let share = Vec2::new(stream.random_range(0.0..=1.0), stream.random_range(0.0..=1.0));
+            let min = bounds.min + room.component_mul(&share);
+            let block = KeepOut { min, max: min + size };
+            let others = &arena.keep_outs;
+            let is_free = others.iter().all(|other| apart_m(other, &block) >= FREE * arena.robot_radius_m)
+                && places.iter().all(|place| block.distance(*place) >= least_m(arena));
+            is_free.then_some(block)
+        });
+        arena.keep_outs.push(drawn?);
+    }
+    Some(())
+}
+
+impl Scenario for FromFile {
+    fn name(&self) -> &str {
+        self.file.name()
+    }
+
+    fn robots(&self) -> usize {
+        self.robots
+    }
+
+    fn arena(&self) -> &Arena {
+        &self.arena
+    }
+
+    fn tasks(&self, seed: u64, episode: u32) -> Vec<Task> {
+        let placement = |index| self.places.placement((self.robots, &self.arena), seed, index);
+        let (starts, goals) = (placement(episode), placement(episode + 1));
+        starts.into_iter().zip(goals).map(|(start, goal)| Task { start, goal }).collect()
+    }
+
+    fn frame(&self, _: &Task) -> PolicyFrame {
+        PolicyFrame::World
+    }
+
+    fn distance_to_go(&self, task: &Task, position: Vec2) -> f32 {
+        self.ways.length_m(position, task.goal)
+    }
+
+    fn scripted_success(&self) -> f64 {
+        self.file.fields.scripted_success
+    }
+
+    fn rules(&self) -> Rules {
+        self.rules
+    }
+
+    fn weights(&self) -> Weights {
+        self.file.fields.reward
+    }
+
+    fn task_file(&self) -> Option<&TaskFile> {
+        Some(&self.file)
+    }
+}

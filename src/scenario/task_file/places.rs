@@ -1,0 +1,153 @@
+//! Starts and goals of a task file's episodes: which area or place each robot has, from episode to episode.
+//!
+//! Placement 0 has the starts of episode 0, and placement `n` the goals of episode `n - 1`, which are the starts of
+//! episode `n`.
+
+use rand::RngExt;
+use rand::seq::SliceRandom;
+
+use super::areas::{Area, least_m};
+use super::fields::{Fields, Shape};
+use crate::config::ConfigError;
+use crate::messages::geometry::Vec2;
+use crate::random::Seed;
+use crate::scenario::arena::Arena;
+
+/// Distance \[m\] by which a start is farther from its goal than robots arrive at, so that rounding does not decide.
+const BEYOND_M: f32 = 1e-3;
+
+/// Rule by which robots get their places.
+#[derive(Clone, Debug)]
+pub enum Places {
+    /// The whole team goes from the first area to the second, and back in the next episode.
+    Sides([Area; 2]),
+    /// The robots are shared out among areas, and in each episode every robot goes to another one.
+    Exchange(Vec<Area>),
+    /// Each robot has one of these places \[m\], world frame, and in each episode gets that of another.
+    Fixed(Vec<Vec2>),
+}
+
+impl Places {
+    /// Returns the places of a task file whose lengths are multiplied by `scale`.
+    pub fn of(fields: &Fields, scale: f32) -> Places {
+        let area = |shape: &Shape| Area::of(shape, scale);
+        match (&fields.start, &fields.goal, &fields.exchange, &fields.places) {
+            (Some(start), Some(goal), ..) => Places::Sides([area(start), area(goal)]),
+            (.., Some(areas), _) => Places::Exchange(areas.iter().map(area).collect()),
+            (.., Some(places)) => Places::Fixed(places.iter().map(|place| Vec2::from(*place) * scale).collect()),
+            _ => unreachable!("the fields have one of these: their check says so"),
+        }
+    }
+
+    /// Checks that `robots` robots have room in `arena`, and that no start is within `arrival_m` \[m\] of its goal. An
+    /// error names the field.
+    pub fn check(&self, robots: usize, arena: &Arena, arrival_m: f32) -> Result<(), ConfigError> {
+        match self {
+            Places::Sides(areas) => {
+                for (field, area) in ["start", "goal"].into_iter().zip(areas) {
+                    check_area(field, area, robots, arena)?;
+                }
+                check_apart(("goal", "start"), areas[0].distance(&areas[1]), arrival_m + BEYOND_M)
+            }
+            Places::Exchange(areas) => {
+                let field = |at: usize| format!("exchange[{at}]");
+                for (at, area) in areas.iter().enumerate() {
+                    check_area(&field(at), area, robots.div_ceil(areas.len()), arena)?;
+                    for (other, before) in areas[..at].iter().enumerate() {
+                        let least = least_m(arena).max(arrival_m + BEYOND_M);
+                        check_apart((&field(at), &field(other)), area.distance(before), least)?;
+                    }
+                }
+                Ok(())
+            }
+            Places::Fixed(places) => {
+                let field = |at: usize| format!("places[{at}]");
+                for (at, place) in places.iter().enumerate() {
+                    if !arena.admits(*place) {
+                        return Err(ConfigError::field(field(at), no_room(arena)));
+                    }
+                    for (other, before) in places[..at].iter().enumerate() {
+                        let least = least_m(arena).max(arrival_m + BEYOND_M);
+                        check_apart((&field(at), &field(other)), (place - before).norm(), least)?;
+                    }
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// Returns the positions \[m\] of `robots` robots in the placement `index` of the run with this seed, world frame.
+    pub fn placement(&self, (robots, arena): (usize, &Arena), seed: u64, index: u32) -> Vec<Vec2> {
+        let stream = |what: &str| Seed::of_run(seed).stream(&format!("task-file/{what}/{index}"));
+        match self {
+            Places::Sides(areas) => areas[index as usize % 2].draw(arena, robots, &mut stream("places")),
+            Places::Exchange(areas) => {
+                let (order, shift) = (shuffled(seed, robots), shift(seed, index, areas.len()));
+                let mut places = vec![Vec2::zeros(); robots];
+                let mut stream = stream("places");
+                for (at, area) in areas.iter().enumerate() {
+                    let here = order.iter().enumerate().filter(|(turn, _)| (turn + shift) % areas.len() == at);
+                    let here: Vec<usize> = here.map(|(_, robot)| *robot).collect();
+                    let drawn = area.draw(arena, here.len(), &mut stream);
+                    here.into_iter().zip(drawn).for_each(|(robot, place)| places[robot] = place);
+                }
+                places
+            }
+            Places::Fixed(all) => {
+                let (order, shift) = (shuffled(seed, all.len()), shift(seed, index, all.len()));
+                (0..robots).map(|robot| all[order[(robot + shift) % all.len()]]).collect()
+            }
+        }
+    }
+}
+
+/// Returns the numbers below `count` in an order of the run with this seed.
+fn shuffled(seed: u64, count: usize) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..count).collect();
+    order.shuffle(&mut Seed::of_run(seed).stream("task-file/order"));
+    order
+}
+
+/// Returns the shift of the placement `index` among `count` areas or places. No two in a row are equal: those of even
+/// placements are in the lower half of the range, and those of odd ones in the upper.
+fn shift(seed: u64, index: u32, count: usize) -> usize {
+    let half = count / 2;
+    let mut stream = Seed::of_run(seed).stream(&format!("task-file/shift/{index}"));
+    stream.random_range(if index.is_multiple_of(2) { 0..half } else { half..count })
+}
+
+fn check_area(field: &str, area: &Area, robots: usize, arena: &Arena) -> Result<(), ConfigError> {
+    let points = area.points();
+    if let Some(at) = points.iter().position(|point| !arena.admits(*point)) {
+        return Err(ConfigError::field(format!("{field}.points[{at}]"), no_room(arena)));
+    }
+    for (at, point) in points.iter().enumerate() {
+        let near = points[..at].iter().position(|other| (other - point).norm() < least_m(arena));
+        if let Some(other) = near {
+            let why = format!("robots there and at points[{other}] overlap: they need {:.3} m", least_m(arena));
+            return Err(ConfigError::field(format!("{field}.points[{at}]"), why));
+        }
+    }
+    let room = area.room(arena, robots);
+    if room >= robots {
+        return Ok(());
+    }
+    let why = format!(
+        "it has room for {room} robots with a hull of {} m, and {robots} belong there: make it larger, the robots \
+         fewer or their hulls smaller",
+        arena.hull_m()
+    );
+    Err(ConfigError::field(field, why))
+}
+
+fn check_apart((field, other): (&str, &str), apart_m: f32, least_m: f32) -> Result<(), ConfigError> {
+    if apart_m >= least_m {
+        return Ok(());
+    }
+    let why = format!("it is {apart_m:.3} m from {other}, and robots there need {least_m:.3} m");
+    Err(ConfigError::field(field, why))
+}
+
+fn no_room(arena: &Arena) -> String {
+    format!("no robot fits there: it keeps {:.3} m from walls, and its centre on the ground", arena.robot_radius_m)
+}
