@@ -43,7 +43,7 @@ pub struct Registry {
     observers: Vec<observers::Entry>,
     /// Function that reads task files; `None` in a library, which reads no files.
     reads_tasks: Option<ReadText>,
-    /// Task files whose content is known, by their paths.
+    /// Task files whose content is known, by their names.
     tasks: BTreeMap<String, TaskFile>,
     /// Whether a part was added to those of the program.
     extended: bool,
@@ -227,13 +227,18 @@ impl Registry {
         self
     }
 
-    /// Returns the registry with the task file of `scenario`, if that was made from one, under the path `name`. So
-    /// scenarios that are made later are of the same file, whatever happens to it in the meantime.
-    pub fn knowing(mut self, name: &str, scenario: &dyn Scenario) -> Registry {
-        if let Some(file) = scenario.task_file() {
-            self.tasks.insert(name.to_owned(), file.clone());
-        }
+    /// Returns the registry with a task file under the name `name`, such as its path. So scenarios of that name that are
+    /// made later are of this content, whatever happens to the file in the meantime.
+    pub fn with_task(mut self, name: &str, file: TaskFile) -> Registry {
+        self.tasks.insert(name.to_owned(), file);
         self
+    }
+
+    /// Returns the registry with the text of a task file, of which a record or a checkpoint has a copy, under the name
+    /// `name`. An error names the wrong field.
+    pub fn with_task_text(self, name: &str, text: &str) -> Result<Registry, ScenarioError> {
+        let wrong = |error: ConfigError| ScenarioError::Unread { file: name.to_owned(), why: error.to_string() };
+        Ok(self.with_task(name, TaskFile::read(text).map_err(wrong)?))
     }
 
     /// Returns the registry as that of a program: parts that are added later are extensions of it
@@ -307,7 +312,7 @@ impl Registry {
     /// ends with `.toml` is the path of a task file. An error says that the name is unknown or that the settings do not
     /// fit.
     pub fn scenario(&self, name: &str, settings: &scenario::Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
-        if task_file::is_task_file(name) {
+        if task_file::is_task_file(name) || self.tasks.contains_key(name) {
             return self.task_file(name)?.scenario(settings);
         }
         let scenario = scenario::build_of(&self.scenarios, name, settings)?;

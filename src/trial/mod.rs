@@ -175,7 +175,7 @@ impl Trial {
     /// Makes the trial of a team file, with the policies `models`. Each host of the team makes the same trial and runs
     /// its own part of it. An error names the wrong field.
     pub fn of_host(registry: &Registry, team: &Team, models: impl Into<Models>) -> Result<Trial, TrialError> {
-        let scenario = registry.scenario(&team.scenario, &team.deployment.settings())?;
+        let scenario = team.make_scenario(registry)?;
         let layouts = Layouts::of_scenario(&*scenario, team.seed, team.episodes);
         let trial = Trial::with_registry(registry, team.deployment.clone(), scenario, models);
         let SimulationSettings { physics, clamp, handling } = team.simulated;

@@ -27,4 +27,5 @@ mod shell;
 #[path = "../skip/mod.rs"]
 mod skip;
 mod steps;
+mod task_files;
 mod transports;

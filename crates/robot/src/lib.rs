@@ -169,7 +169,12 @@ pub fn runs_within(started_by: Vec<OsString>) {
 /// parts to it.
 pub fn registry() -> Registry {
     let registry = murmurate_ros2::add(murmurate_devices::add(Registry::builtin()));
-    registry.with_transport(murmurate_zenoh::ENTRY).of_program()
+    registry.with_transport(murmurate_zenoh::ENTRY).reading_tasks(read_task).of_program()
+}
+
+/// Returns the text of a task file.
+fn read_task(path: &str) -> Result<String, String> {
+    output::read_text(Path::new(path), "task file").map_err(|error| error.to_string())
 }
 
 /// Runs the command of the program that the arguments of this process name, with the parts (scenarios, policies and so

@@ -1,12 +1,15 @@
 //! Names in the command line's definition: those of the registry's entries (policies, scenarios, estimators, plants)
 //! and of radio presets, in the values and help texts of flags, and the program's own name.
 
-use clap::builder::{PossibleValue, PossibleValuesParser, StyledStr};
+use std::ffi::OsStr;
+
+use clap::builder::{PossibleValue, PossibleValuesParser, StyledStr, TypedValueParser};
 use clap::{Arg, Command};
 
 use super::MURMURATE;
 use murmurate::net::media::radio;
 use murmurate::registry::Registry;
+use murmurate::scenario::task_file::is_task_file;
 
 /// Returns `command` with the names of the registry's entries (policies, scenarios and so on) added to its flags and
 /// those of its subcommands: as permitted values, or in the help text.
@@ -21,7 +24,10 @@ fn named(arg: Arg, registry: &Registry) -> Arg {
         ))
     };
     match arg.get_id().as_str() {
-        "scenario" => one_of(arg, registry.scenarios().iter().map(|entry| (entry.name, entry.about)).collect()),
+        "scenario" => {
+            let names = registry.scenarios().iter();
+            arg.value_parser(ScenarioParser { names: names.map(|entry| (entry.name, entry.about)).collect() })
+        }
         "estimator" => one_of(arg, registry.estimators().iter().map(|entry| (entry.name, entry.about)).collect()),
         "plant" => one_of(arg, registry.plants().iter().map(|entry| (entry.name, entry.about)).collect()),
         "policy" | "policies" => {
@@ -36,6 +42,35 @@ fn named(arg: Arg, registry: &Registry) -> Arg {
             arg.help(help)
         }
         _ => arg,
+    }
+}
+
+/// Parser of a scenario's name, or of the path of a task file, which ends with `.toml`.
+#[derive(Clone)]
+struct ScenarioParser {
+    /// Name and description of each scenario of the registry.
+    names: Vec<(&'static str, &'static str)>,
+}
+
+impl TypedValueParser for ScenarioParser {
+    type Value = String;
+
+    fn parse_ref(&self, cmd: &Command, arg: Option<&Arg>, value: &OsStr) -> Result<String, clap::Error> {
+        match value.to_str() {
+            Some(path) if is_task_file(path) => Ok(path.to_owned()),
+            _ => PossibleValuesParser::new(self.possible()).parse_ref(cmd, arg, value),
+        }
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        Some(Box::new(self.possible()))
+    }
+}
+
+impl ScenarioParser {
+    fn possible(&self) -> impl Iterator<Item = PossibleValue> + use<> {
+        let values = self.names.iter().map(|(name, about)| PossibleValue::new(*name).help(*about));
+        values.collect::<Vec<_>>().into_iter()
     }
 }
 

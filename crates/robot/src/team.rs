@@ -206,7 +206,7 @@ pub fn keep_of(file: &KeyFile) -> Option<Keep> {
 
 /// Returns the team's scenario, with the number of robots and the sizes of its deployment.
 pub fn scenario(team: &Team, registry: &Registry) -> Result<Arc<dyn Scenario>> {
-    Ok(registry.scenario(&team.scenario, &team.deployment.settings()).map_err(|e| BadInput(e.to_string()))?)
+    Ok(team.make_scenario(registry).map_err(|e| BadInput(e.to_string()))?)
 }
 
 /// Loads the policies of the team's roles, and for all other robots the one that the team file names, or otherwise the

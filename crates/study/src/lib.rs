@@ -217,13 +217,14 @@ impl Study {
     }
 
     /// Returns the scenario's name and the number of robots as text, with the width of the bottleneck, the scale and
-    /// the hull if they are set.
+    /// the hull if they are set, and the digest of the task file if the scenario is from one.
     pub fn scenario_text(&self) -> String {
         let Settings { gap_m, scale, hull_m, .. } = self.settings;
         let gap = gap_m.map_or(String::new(), |gap_m| format!(", gap {gap_m} m"));
         let scale = scale.map_or(String::new(), |scale| format!(", scale {scale}"));
         let hull = hull_m.map_or(String::new(), |hull_m| format!(", hull {hull_m} m"));
-        format!("{}, {}{gap}{scale}{hull}", self.scenario.name(), counted(self.scenario.robots(), "robot"))
+        let task = self.scenario.task_file().map_or(String::new(), |file| format!(", task file {}", file.digest()));
+        format!("{}, {}{gap}{scale}{hull}{task}", self.scenario.name(), counted(self.scenario.robots(), "robot"))
     }
 
     fn layouts_digest(&self) -> String {

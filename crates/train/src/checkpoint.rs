@@ -170,7 +170,7 @@ mod tests {
     fn a_checkpoint_of_another_processor_is_refused_and_one_that_does_not_say_is_taken() {
         let registry = Registry::builtin();
         let config = Config::preset("published").expect("it is a preset");
-        let plan = Plan { scenario: "passage".to_owned(), preset: "published".to_owned(), config, seed: 0 };
+        let plan = Plan { scenario: "passage".to_owned(), task: None, preset: "published".to_owned(), config, seed: 0 };
         let trainer = Trainer::new(plan, &registry).expect("it is sound");
         let with = |vector: &str| {
             let mut state = read_state(&trainer.checkpoint()).expect("it was just written");

@@ -1,11 +1,12 @@
 //! Scaling of the groups in a configuration to a team of another size.
 
-use super::config::Config;
+use super::config::{Config, Reward};
 use murmurate::registry::Registry;
-use murmurate::scenario::{ScenarioError, Settings};
+use murmurate::scenario::{ScenarioError, Settings, Weights};
 
 impl Config {
-    /// Returns the configuration with the `groups` of the curriculum scaled: the team sizes of each sum to the
+    /// Returns the configuration with the weights that the scenario gives to terms of the reward ([`Weights`]), and with
+    /// the `groups` of the curriculum scaled: the team sizes of each sum to the
     /// configured number of robots, or to the scenario's default if none is configured. They keep their proportions if
     /// the scenario supports teams of these sizes; otherwise the robots are split in another way, or not at all.
     ///
@@ -14,7 +15,9 @@ impl Config {
     pub fn scaled_for(mut self, scenario: &str, registry: &Registry) -> Result<Config, ScenarioError> {
         let settings = self.settings(None, None);
         let build = |robots| registry.scenario(scenario, &Settings { robots, ..settings });
-        let robots = build(self.robots)?.robots();
+        let scenario = build(self.robots)?;
+        let robots = scenario.robots();
+        self.reward = weighted(self.reward, scenario.weights());
         let supported = |size: usize| build(Some(size)).is_ok();
         for stage in &mut self.curriculum {
             for groups in &mut stage.groups {
@@ -22,6 +25,18 @@ impl Config {
             }
         }
         Ok(self)
+    }
+}
+
+/// Returns the reward with the weights that a scenario gives.
+fn weighted(reward: Reward, weights: Weights) -> Reward {
+    Reward {
+        progress: weights.progress.unwrap_or(reward.progress),
+        arrival: weights.arrival.unwrap_or(reward.arrival),
+        time: weights.time.unwrap_or(reward.time),
+        wall: weights.contact.unwrap_or(reward.wall),
+        robot: weights.contact.unwrap_or(reward.robot),
+        ..reward
     }
 }
 

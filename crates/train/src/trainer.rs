@@ -130,8 +130,11 @@ pub enum SetupError {
 /// Parameters of a training, which do not change from its start to its end.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
-    /// Name of the scenario.
+    /// Name of the scenario, or path of its task file.
     pub scenario: String,
+    /// Text of the task file; `None` for a scenario that is not from a file. The training sets it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub task: Option<String>,
     /// Name of the preset from which the configuration was made.
     pub preset: String,
     /// Configuration of the training.
@@ -174,9 +177,17 @@ impl Trainer {
     /// # Errors
     /// If the registry does not have the scenario, the scenario has no reward of its own although the configuration
     /// weights it, or a stage of the curriculum cannot be set up.
-    pub fn new(plan: Plan, registry: &Registry) -> Result<Trainer, SetupError> {
+    pub fn new(mut plan: Plan, registry: &Registry) -> Result<Trainer, SetupError> {
         let settings = plan.config.settings(plan.config.robots, None);
+        let mut registry = registry.clone();
+        if let Some(text) = &plan.task {
+            registry = registry.with_task_text(&plan.scenario, text)?;
+        }
         let scenario = registry.scenario(&plan.scenario, &settings)?;
+        if let Some(file) = scenario.task_file() {
+            plan.task = Some(file.text().to_owned());
+            registry = registry.with_task(&plan.scenario, file.clone());
+        }
         let weight = plan.config.reward.scenario;
         if weight > 0.0 && !has_reward(&*scenario) {
             return Err(SetupError::NoReward { scenario: plan.scenario, weight });
@@ -195,7 +206,7 @@ impl Trainer {
             actor: learner(actor, "actor", &[0.0, 0.0, log_std, log_std]),
             critic: learner(critic, "critic", &[0.0]),
             plan,
-            registry: registry.clone(),
+            registry,
             scenario,
             chunks: Vec::new(),
             stage: 0,
@@ -386,7 +397,7 @@ impl Trainer {
     /// Returns the bytes of a policy file of format 1 with the current weights of the policy.
     pub fn policy_file(&self) -> Vec<u8> {
         let config = &self.plan.config;
-        let mut manifest = config.manifest(&self.plan.scenario);
+        let mut manifest = config.manifest(self.scenario.name());
         manifest.log_std_max = Some(self.settings().log_std_max);
         manifest.training = Some(Training {
             program: format!("murmurate {}", env!("CARGO_PKG_VERSION")),

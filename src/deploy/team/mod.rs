@@ -23,7 +23,7 @@ use serde::Deserialize;
 
 use self::fields::EVERY_INTERFACE;
 use self::layers::{LayerValue, Layers, place};
-use self::size::{about_hulls, build};
+use self::size::{about_hulls, build, knowing_task};
 use super::roles::placed;
 use super::{Deployment, Host, Link, MODES, Roles, Routes, Senses};
 use crate::config::{self, ConfigError};
@@ -34,7 +34,7 @@ use crate::messages::wire::{KINDS, Kind};
 use crate::net::transport::Place;
 use crate::registry::Registry;
 use crate::safety::{Clamp, Safety};
-use crate::scenario::{Scenario, Settings};
+use crate::scenario::{Scenario, ScenarioError, Settings, TaskFile};
 use crate::time::Span;
 use crate::world::{ContactRule, Overrides, Physics, Sensor};
 
@@ -53,6 +53,8 @@ pub struct Team {
     pub confidential: bool,
     /// Name of the team's scenario.
     pub scenario: String,
+    /// Task file of the team's scenario, with its path; `None` for a scenario of the registry.
+    pub task: Option<(PathBuf, TaskFile)>,
     /// Policy of the team: path of a file, or a name; `None` for the scenario's default.
     pub policy: Option<PathBuf>,
     /// Number of episodes of the trial.
@@ -103,6 +105,8 @@ pub struct TeamFile {
     deployment: Deployment,
     safety: Safety,
     folder: PathBuf,
+    /// Path of the task file that the field `scenario` names.
+    task_path: Option<PathBuf>,
 }
 
 #[derive(Deserialize)]
@@ -114,6 +118,18 @@ struct Inline {
     senses: Senses,
     #[serde(default)]
     roles: Roles,
+}
+
+impl Team {
+    /// Makes the team's scenario, in the size of its deployment; `registry` has it, unless it is of a task file. An error
+    /// names the wrong setting.
+    pub fn make_scenario(&self, registry: &Registry) -> Result<Arc<dyn Scenario>, ScenarioError> {
+        let settings = self.deployment.settings();
+        match &self.task {
+            Some((_, file)) => file.scenario(&settings),
+            None => registry.scenario(&self.scenario, &settings),
+        }
+    }
 }
 
 impl TeamFile {
@@ -132,12 +148,13 @@ impl TeamFile {
     ) -> Result<TeamFile, ConfigError> {
         let mut layers = Layers::read(text, flags, &WHOLE_TABLES, registry.transports())?;
         layers.read_environment(variables)?;
+        let (registry, task_path) = &knowing_task(registry, &layers, |entry| path(folder, entry))?;
         let inline: Inline = config::from_toml(text)?;
         inline.safety.check().map_err(|error| error.within("safety"))?;
         let deployment = deployment(registry, inline.deployment, &layers)?;
         let deployment = deployment.from_folder(registry, folder).perceiving(registry, inline.senses)?;
         let deployment = deployment.in_roles(registry, placed(registry, inline.roles, folder))?;
-        let safety = about_hulls(inline.safety, &layers, &deployment)?;
+        let safety = about_hulls(inline.safety, &layers, (registry, &deployment))?;
         let mut fields = vec![EVERY_INTERFACE.to_owned()];
         for link in &deployment.links {
             fields.extend(layers.fields().of_link().map(|field| format!("link.{}.{field}", link.name)));
@@ -148,7 +165,8 @@ impl TeamFile {
             fields.extend(KINDS.map(|kind| format!("link.{}.reliability.{}", link.name, kebab(kind))));
         }
         layers.read_link_environment(variables, &fields)?;
-        let file = TeamFile { registry: registry.clone(), layers, deployment, safety, folder: folder.to_owned() };
+        let (registry, folder, task_path) = (registry.clone(), folder.to_owned(), task_path.clone());
+        let file = TeamFile { registry, layers, deployment, safety, folder, task_path };
         file.check_names()?;
         Ok(file)
     }
@@ -190,7 +208,6 @@ impl TeamFile {
         let scopes = self.scopes(Some(host));
         let find = |key: &str| self.layers.find(&scopes, key);
         let number = find("team").ok_or_else(|| ConfigError::field("team", "missing; give the team a number"))?;
-        let name = find("scenario").expect("it has a default");
         let scenario = self.scenario()?;
         let whole = |key: &str| whole(&find(key).expect("it has a default"));
         let routes = Routes::of(&self.deployment);
@@ -221,7 +238,8 @@ impl TeamFile {
             number: whole_u16(&number),
             key_file,
             confidential,
-            scenario: text(&name).to_owned(),
+            scenario: scenario.name().to_owned(),
+            task: self.task_path.clone().zip(scenario.task_file().cloned()),
             policy,
             episodes: u32::try_from(whole("episodes")).expect("its range is smaller"),
             seed: whole("seed"),
@@ -295,9 +313,14 @@ impl TeamFile {
     /// Returns the path that a field contains: relative to the folder of the team file if the value is from the file,
     /// otherwise as it is (relative to the working directory).
     fn path(&self, entry: &LayerValue) -> PathBuf {
-        let path = Path::new(text(entry));
-        if matches!(entry.origin, Origin::File(_)) { self.folder.join(path) } else { path.to_owned() }
+        path(&self.folder, entry)
     }
+}
+
+/// Returns the path that a field of a team file in the folder `folder` contains.
+fn path(folder: &Path, entry: &LayerValue) -> PathBuf {
+    let path = Path::new(text(entry));
+    if matches!(entry.origin, Origin::File(_)) { folder.join(path) } else { path.to_owned() }
 }
 
 /// Returns the deployment of a team file: the preset of its field `mode`, or the table `deployment` (`inline`).

@@ -1,5 +1,6 @@
 //! The scenario of a team file in its size, and the least distances of robots by their hulls.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use super::layers::{LayerValue, Layers, place};
@@ -8,7 +9,26 @@ use crate::config::ConfigError;
 use crate::deploy::Deployment;
 use crate::registry::Registry;
 use crate::safety::Safety;
+use crate::scenario::task_file::is_task_file;
 use crate::scenario::{Scenario, ScenarioError, Settings};
+
+/// Returns the registry with the task file that the field `scenario` names, if it names one, and the path of that file.
+/// All scenarios of the team are then of this content. `path` returns the path that a field contains. An error names
+/// the field.
+pub fn knowing_task(
+    registry: &Registry,
+    layers: &Layers,
+    path: impl Fn(&LayerValue) -> PathBuf,
+) -> Result<(Registry, Option<PathBuf>), ConfigError> {
+    let entry = layers.find(&[String::new()], "scenario").expect("it has a default");
+    if !is_task_file(text(&entry)) {
+        return Ok((registry.clone(), None));
+    }
+    let path = path(&entry);
+    let file = registry.task_file(&path.to_string_lossy());
+    let file = file.map_err(|e| ConfigError::field(place("scenario", &entry.origin), e.to_string()))?;
+    Ok((registry.clone().with_task(text(&entry), file), Some(path)))
+}
 
 /// Creates the scenario named in the field `entry` with the settings of its team. An error names the setting that is
 /// wrong, where it is written, or the scenario.
@@ -29,10 +49,17 @@ pub fn build(
     })
 }
 
-/// Returns `safety` with the least distances to robots and walls of robots with the hull of the `deployment`, unless
-/// the file has distances of its own. An error names the field.
-pub fn about_hulls(safety: Safety, layers: &Layers, deployment: &Deployment) -> Result<Safety, ConfigError> {
-    let Some(hull_m) = deployment.hull_m else { return Ok(safety) };
+/// Returns `safety` with the least distances to robots and walls of robots with the hull of the `deployment`, or else of
+/// the team's task file, unless the team file has distances of its own. An error names the field.
+pub fn about_hulls(
+    safety: Safety,
+    layers: &Layers,
+    (registry, deployment): (&Registry, &Deployment),
+) -> Result<Safety, ConfigError> {
+    let entry = layers.find(&[String::new()], "scenario").expect("it has a default");
+    let of_task = || registry.task_file(text(&entry)).map(|file| file.hull_m());
+    let of_task = is_task_file(text(&entry)).then(of_task).and_then(Result::ok);
+    let Some(hull_m) = deployment.hull_m.or(of_task) else { return Ok(safety) };
     let of_hull = safety.of_hull(hull_m);
     let (mut found, given) = (safety, |field: &str| layers.table(&format!("safety.{field}")).is_some());
     if !given("distance_min_m") {

@@ -18,7 +18,7 @@ const LONGEST_ABOUT: usize = 200;
 /// Largest number of robots of a team.
 const MOST_ROBOTS: usize = 2000;
 /// Largest number of walls and obstacles together. Scripted navigation compares all of their corners with each other.
-pub const MOST_BLOCKS: usize = 200;
+pub const MOST_BLOCKS: usize = 100;
 /// Largest number of areas and of points in one of them.
 const MOST_AREAS: usize = 2000;
 /// Shortest and longest time limit of an episode \[s\].

@@ -9,7 +9,7 @@ mod fields;
 mod places;
 mod ways;
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use rand::RngExt;
 
@@ -48,7 +48,8 @@ struct FromFile {
     arena: Arena,
     places: Places,
     rules: Rules,
-    ways: Ways,
+    /// Ways through the arena, which training alone needs.
+    ways: OnceLock<Ways>,
 }
 
 /// Returns whether a name of a scenario is the path of a task file: it ends with `.toml`.
@@ -70,6 +71,11 @@ impl TaskFile {
     /// Returns the description of the task in one line; empty if it has none.
     pub fn about(&self) -> &str {
         &self.fields.about
+    }
+
+    /// Returns the radius \[m\] of a robot's hull where none is set.
+    pub fn hull_m(&self) -> f32 {
+        self.fields.hull_m
     }
 
     /// Returns the text of the file.
@@ -119,8 +125,7 @@ impl TaskFile {
         };
         let places = Places::of(&self.fields, size.scale);
         places.check(robots, &arena, rules.arrival_m).map_err(wrong)?;
-        let ways = Ways::new(&arena);
-        Ok(Arc::new(FromFile { file: self.clone(), robots, arena, places, rules, ways }))
+        Ok(Arc::new(FromFile { file: self.clone(), robots, arena, places, rules, ways: OnceLock::new() }))
     }
 
     /// Returns the ground with its walls, the obstacles that are drawn, and the doors between them.
@@ -215,7 +220,7 @@ impl Scenario for FromFile {
     }
 
     fn distance_to_go(&self, task: &Task, position: Vec2) -> f32 {
-        self.ways.length_m(position, task.goal)
+        self.ways.get_or_init(|| Ways::new(&self.arena)).length_m(position, task.goal)
     }
 
     fn scripted_success(&self) -> f64 {

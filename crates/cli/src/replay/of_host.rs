@@ -8,11 +8,13 @@ use super::{Args, confine, sorted};
 use murmurate::deploy::team::Team;
 use murmurate::policy::Model;
 use murmurate::registry::Registry;
+use murmurate::scenario::TaskFile;
+use murmurate::scenario::task_file::is_task_file;
 use murmurate_record::identity::Identity;
 use murmurate_record::reader::Opened;
 use murmurate_replay::files::Files;
 use murmurate_replay::host::{Access, Prepared};
-use murmurate_robot::output::talk;
+use murmurate_robot::output::{read_text, talk};
 use murmurate_robot::{BadInput, bad, host, key, team};
 
 /// Builds a host from its record for a replay, with the attached files `files`, and returns it with the name of its
@@ -64,7 +66,7 @@ pub fn team_of(
         let named = files.team_file().is_some_and(|name| name == argument);
         named.then(|| Path::new(argument).parent().unwrap_or(Path::new("")).to_owned())
     });
-    let file = team_args.read_as_of(registry, folder.as_deref(), &identity.variables)?;
+    let file = team_args.read_as_of(&with_tasks(registry, files), folder.as_deref(), &identity.variables)?;
     let name = identity.host.as_ref().map_or("", |host| &host.name);
     let id = file.host_named(name).map_err(|error| BadInput(error.to_string()))?;
     let mut team = team_args.for_host(&file, id)?;
@@ -75,4 +77,13 @@ pub fn team_of(
         }
     }
     Ok(team)
+}
+
+/// Returns the registry with the task files among the files of a record, under the paths that they had.
+fn with_tasks(registry: &Registry, files: &Files) -> Registry {
+    let texts = files.files.iter().filter(|(name, _)| is_task_file(name));
+    let texts = texts.filter_map(|(name, path)| Some((name, read_text(path, "task file").ok()?)));
+    // Team files and others end with the same letters.
+    let tasks = texts.filter_map(|(name, text)| Some((name, TaskFile::read(&text).ok()?)));
+    tasks.fold(registry.clone(), |registry, (name, file)| registry.with_task(name, file))
 }

@@ -52,8 +52,8 @@ pub struct Args {
     /// Deployment file, which replaces --mode (see 'murmurate deployment')
     #[arg(long, value_name = "FILE.toml", conflicts_with = "mode")]
     deployment: Option<PathBuf>,
-    /// Task of the team
-    #[arg(long, default_value = "passage")]
+    /// Task of the team: a name, or a task file (docs/tasks.md)
+    #[arg(long, value_name = "NAME|FILE.toml", default_value = "passage")]
     scenario: String,
     /// Policy of the robots: a name in the registry (shipped, robust, published, orca or another, also of your crate)
     /// or a policy file (safetensors). Several policies are compared on the same episodes [default: the better one of
@@ -367,7 +367,7 @@ fn records(args: &Args, trials: &[(Trial, String)]) -> Result<Option<Simulated>>
         .chain(&args.policy)
         .chain(of_roles)
         .cloned();
-    let texts = args.faults.iter().chain([&args.radio]).map(PathBuf::from);
+    let texts = args.faults.iter().chain([&args.radio, &args.scenario]).map(PathBuf::from);
     let files = named.chain(texts).collect();
     Simulated::open(&args.record, files, repeats)
 }

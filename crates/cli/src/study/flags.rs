@@ -40,8 +40,8 @@ pub struct Shared {
     /// several times, for every policy without one of its own [default: default]
     #[arg(long = "handling", value_parser = PossibleValuesParser::new(handling::PRESETS.iter().map(|p| p.name)))]
     handlings: Vec<String>,
-    /// Task of the team
-    #[arg(long, default_value = "passage")]
+    /// Task of the team: a name, or a task file (docs/tasks.md)
+    #[arg(long, value_name = "NAME|FILE.toml", default_value = "passage")]
     scenario: String,
     /// Size of the team [default: the scenario's own]
     #[arg(long)]
@@ -279,11 +279,12 @@ impl Shared {
 }
 
 impl Shared {
-    /// Returns the paths of the files that the flags name: policies, `--episodes-file` and `--conditions`. Names of
-    /// policies in the registry are among them.
+    /// Returns the paths of the files that the flags name: policies, `--scenario`, `--episodes-file` and `--conditions`.
+    /// Names of policies and scenarios in the registry are among them.
     pub fn files(&self) -> Vec<PathBuf> {
         let policies = self.policies.iter().map(|given| PathBuf::from(split(given).map_or(&**given, |(file, _)| file)));
-        policies.chain([&self.episodes_file, &self.conditions].into_iter().flatten().cloned()).collect()
+        let files = [&self.episodes_file, &self.conditions].into_iter().flatten().cloned();
+        policies.chain([PathBuf::from(&self.scenario)]).chain(files).collect()
     }
 }
 

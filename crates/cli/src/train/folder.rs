@@ -65,7 +65,7 @@ impl Folder {
     /// Saves the policy, the learning curve (CSV and SVG) and the checkpoint. The checkpoint is written last, so that
     /// the other files are never older.
     pub fn save(&mut self, trainer: &Trainer, curve: &Curve) -> Result<()> {
-        let plot = curve.plot(&trainer.plan().scenario)?;
+        let plot = curve.plot(trainer.scenario().name())?;
         let files = (trainer.policy_file(), curve.to_csv()?, plot, trainer.checkpoint());
         self.save_files(trainer.iterations(), files)
     }

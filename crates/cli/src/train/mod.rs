@@ -49,7 +49,8 @@ const PRESET: &str = "robust";
 #[derive(clap::Args)]
 #[command(group = clap::ArgGroup::new("budget").args(["minutes", "steps"]))]
 pub struct Args {
-    /// Scenario to train for
+    /// Scenario to train for: a name, or a task file
+    #[arg(value_name = "SCENARIO|FILE.toml")]
     scenario: String,
     /// Preset of the configuration: 'published' for lock step and perfect messages, 'robust' for delay, loss and lag,
     /// 'any-size' for these, teams of two to twelve and the safety filter, 'imitation' of a scripted policy in a
@@ -262,7 +263,7 @@ fn report<'a>(
     let plan = trainer.plan();
     Report {
         policy: folder.policy().display().to_string(),
-        scenario: &plan.scenario,
+        scenario: trainer.scenario().name(),
         preset: &plan.preset,
         seed: plan.seed,
         decisions: trainer.decisions(),

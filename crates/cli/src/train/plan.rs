@@ -26,7 +26,7 @@ pub fn config_text(args: &Args, registry: &Registry) -> Result<String> {
     let Plan { scenario, preset, config, .. } = plan(args, registry)?;
     // Errors of the configuration show now and not when the training starts.
     Trainer::new(
-        Plan { scenario: scenario.clone(), preset: preset.clone(), config: config.clone(), seed: 0 },
+        Plan { scenario: scenario.clone(), task: None, preset: preset.clone(), config: config.clone(), seed: 0 },
         registry,
     )
     .map_err(|e| BadInput(e.to_string()))?;
@@ -72,7 +72,7 @@ fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
         given.loss = loss.map_or(given.loss, |loss| [loss as f32; 2]);
     }
     let (scenario, preset) = (args.scenario.clone(), preset.to_owned());
-    Ok(Plan { scenario, preset, config, seed: args.seed.unwrap_or(0) })
+    Ok(Plan { scenario, task: None, preset, config, seed: args.seed.unwrap_or(0) })
 }
 
 /// Returns the configuration with the scale and hull of the flags, or else of the conditions file.
@@ -156,6 +156,12 @@ pub fn resume(args: &Args, folder: &Folder, registry: &Registry) -> Result<Train
     };
     if theirs.scenario != ours.scenario {
         other("the scenario", &theirs.scenario, &ours.scenario)?;
+    }
+    if let Some(task) = &theirs.task {
+        let file = registry.task_file(&theirs.scenario).map_err(|e| refused(args, &e))?;
+        if file.text() != task {
+            return Err(wrong(format!("its task file was another than '{}' is now", theirs.scenario)).into());
+        }
     }
     if args.seed.is_some_and(|seed| seed != theirs.seed) {
         other("the seed", &theirs.seed.to_string(), &ours.seed.to_string())?;

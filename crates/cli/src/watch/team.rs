@@ -35,7 +35,7 @@ use murmurate_record::stage::Stage;
 use murmurate_robot::output::talk;
 use murmurate_robot::recording::LiveRecord;
 use murmurate_robot::recording::RecordFlags;
-use murmurate_robot::{BadInput, Ended, signals, team};
+use murmurate_robot::{Ended, signals, team};
 use murmurate_view::access::Control;
 use murmurate_view::command::Command;
 use murmurate_view::metrics::Metrics;
@@ -119,8 +119,7 @@ impl Page {
     ) -> Result<Page> {
         let deployment = file.deployment();
         let some = team.for_host(file, HostId(0))?;
-        let scenario =
-            registry.scenario(&some.scenario, &deployment.settings()).map_err(|e| BadInput(e.to_string()))?;
+        let scenario = team::scenario(&some, registry)?;
         // The machine of an operator need not have the policy file. Then the communication range is unknown.
         let policy = team::policy(&some, registry).ok();
         let routes = Routes::of(deployment);

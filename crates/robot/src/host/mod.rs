@@ -184,10 +184,11 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     if interrupted { ended(&signal) } else { Ok(Ended::Done) }
 }
 
-/// Returns the files that a record of a host has: that of the team, and those of the policies.
+/// Returns the files that a record of a host has: that of the team, its task file, and those of the policies.
 fn files(team_file: &Path, team: &Team) -> Vec<PathBuf> {
     let of_roles = team.deployment.roles.values().filter_map(|role| role.policy.clone());
-    std::iter::once(team_file.to_owned()).chain(team.policy.clone()).chain(of_roles).collect()
+    let task = team.task.iter().map(|(path, _)| path.clone());
+    std::iter::once(team_file.to_owned()).chain(task).chain(team.policy.clone()).chain(of_roles).collect()
 }
 
 /// Starts the writer of the rosters of a member with its own key file.

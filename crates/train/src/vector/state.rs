@@ -60,6 +60,9 @@ pub enum StateError {
 #[derive(Serialize, Deserialize)]
 struct StoredOptions {
     scenario: String,
+    /// Text of the task file; `None` for a scenario that is not from a file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    task: Option<String>,
     num_robots: usize,
     gap_m: Option<f32>,
     #[serde(default)]
@@ -88,6 +91,7 @@ impl StoredOptions {
     fn of(options: &Options) -> StoredOptions {
         StoredOptions {
             scenario: options.scenario.name().to_owned(),
+            task: options.scenario.task_file().map(|file| file.text().to_owned()),
             num_robots: options.scenario.robots(),
             gap_m: options.gap_m,
             scale: options.scale,
@@ -181,7 +185,10 @@ pub fn options_of(bytes: &[u8], registry: &Registry) -> Result<Options, StateErr
     let (stored, _) = read(bytes)?;
     let StoredOptions { scenario, num_robots, gap_m, scale, hull_m, .. } = &stored.options;
     let settings = Settings { robots: Some(*num_robots), gap_m: *gap_m, scale: *scale, hull_m: *hull_m };
-    let scenario = registry.scenario(scenario, &settings)?;
+    let scenario = match &stored.options.task {
+        Some(text) => registry.clone().with_task_text(scenario, text)?.scenario(scenario, &settings)?,
+        None => registry.scenario(scenario, &settings)?,
+    };
     let of = stored.options;
     let options = Options {
         scenario: Arc::clone(&scenario),

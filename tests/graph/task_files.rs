@@ -1,0 +1,152 @@
+//! Task files: the shipped example, the contract of scenarios for every kind of places, and files with mistakes.
+
+use murmurate::config::shown::Layout;
+use murmurate::config::shown::printable;
+use murmurate::messages::geometry::Planar;
+use murmurate::scenario::{Settings, TaskFile, contract};
+use toml::{Table, Value};
+
+const FOUR_ROOMS: &str = include_str!("../../examples/tasks/four-rooms.toml");
+
+/// A task file with these lines for its walls and places.
+fn file(lines: &str) -> String {
+    format!(
+        "name = \"mine\"\nrobots = {{ default = 4, least = 2, most = 6 }}\nhalf_extent_m = [2.0, 3.0]\n\
+         rules = {{ arrival_m = 0.25, limit_s = 40.0 }}\n{lines}\n"
+    )
+}
+
+/// The error of a task file, of its text or of its scenario.
+fn error(text: &str) -> Option<String> {
+    match TaskFile::read(text) {
+        Err(error) => Some(error.to_string()),
+        Ok(file) => file.scenario(&Settings::default()).err().map(|error| error.to_string()),
+    }
+}
+
+#[test]
+fn the_contract_of_scenarios_holds_for_every_kind_of_places() {
+    let wall = "walls = [{ rect = [-2.0, -0.1, 0.5, 0.1] }]\n";
+    let sides = "start = { disc = [0.0, -1.7, 1.0] }\ngoal = { rect = [-1.5, 0.7, 1.5, 2.5] }";
+    let obstacles = "obstacles = [{ count = 3, size_m = [0.3, 0.3], within = [-1.5, -1.0, 1.5, 1.0], seed = 7 }]\n";
+    let points = |y: f32| format!("{{ points = [[-1.5, {y}], [-0.75, {y}], [0.0, {y}], [0.75, {y}], [1.5, {y}]] }}");
+    let formations = format!("start = {}\ngoal = {}", points(-2.0), points(2.0)).replace("], [1.5", "], [1.5");
+    let formations = file(&formations).replace("most = 6", "most = 5");
+    let places = "places = [[-1.0, -1.0], [0.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [0.0, 1.0], [1.0, 1.0]]";
+    let texts = [file(&format!("{wall}{sides}")), file(&format!("{obstacles}{sides}")), formations, file(places)];
+    for text in texts.iter().map(String::as_str).chain([FOUR_ROOMS]) {
+        let task = TaskFile::read(text).unwrap_or_else(|error| panic!("{error}:\n{text}"));
+        contract::check_file(&task).unwrap_or_else(|broken| panic!("{broken}:\n{text}"));
+    }
+}
+
+#[test]
+fn four_rooms_have_four_doors_and_every_robot_changes_its_room() {
+    let lines = FOUR_ROOMS.lines().count();
+    assert!(lines <= 30, "{lines} lines");
+    let task = TaskFile::read(FOUR_ROOMS).expect("it is sound");
+    let rooms = task.scenario(&Settings::default()).expect("it is sound");
+    assert_eq!((rooms.name(), rooms.robots(), rooms.arena().portals.len()), ("four-rooms", 6, 4));
+    let room = |at: [f32; 2]| at.map(|axis| axis > 0.0);
+    for (seed, episode) in (0..10).flat_map(|seed| (0..5).map(move |episode| (seed, episode))) {
+        for task in rooms.tasks(seed, episode) {
+            assert_ne!(room(task.start.to_array()), room(task.goal.to_array()));
+            assert!(rooms.distance_to_go(&task, task.start) >= (task.goal - task.start).norm());
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_is_refused_by_its_field() {
+    let sides = "start = { disc = [0.0, -1.7, 1.0] }\ngoal = { rect = [-1.5, 0.7, 1.5, 2.5] }";
+    let cases = [
+        (String::new(), "start: it is missing: give start and goal, exchange, or places"),
+        ("start = { disc = [0.0, 0.0, 1.0] }".to_owned(), "goal: it is missing"),
+        (format!("{sides}\nplaces = [[0, 0]]"), "places: there is 'start' already"),
+        (format!("{sides}\nunlabelled = true"), "unlabelled: unknown field"),
+        (format!("{sides}\nreward = {{ cohesion = 1.0 }}"), "reward.cohesion: unknown field `cohesion`, expected one of `progress`, `arrival`, `contact`, `time`"),
+        (format!("{sides}\nwalls = [{{ disc = [0, 0, 1] }}]"), "walls[0]: a wall is a rectangle"),
+        (format!("{sides}\nwalls = [{{ rect = [0, 0, -1, 1] }}]"), "walls[0].rect[0]: the smallest x comes first"),
+        (format!("{sides}\nwalls = [{{ rect = [0, 0, nan, 1] }}]"), "walls[0].rect[2]: NaN is not"),
+        ("start = { disc = [0.0, -1.7, 0.3] }\ngoal = { rect = [-1.5, 0.7, 1.5, 2.5] }".to_owned(), "the task 'mine': start: it has room for 1 robots"),
+        ("start = { disc = [0.0, -1.0, 1.0] }\ngoal = { disc = [0.0, 1.0, 1.0] }".to_owned(), "goal: it is 0.000 m from start"),
+        ("places = [[-1, 0], [-1, 0.1], [1, 0], [0, 1], [0, 2], [1, 2]]".to_owned(), "places[1]: it is 0.100 m from places[0]"),
+        ("places = [[-1, 0], [9, 0.1], [1, 0], [0, 1], [0, 2], [1, 2]]".to_owned(), "places[1]: no robot fits there"),
+        (format!("{sides}\nobstacles = [{{ count = 30, size_m = [1, 1], within = [-2, -2, 2, 2] }}]"), "obstacles[0]: there is no room"),
+    ];
+    for (lines, expected) in cases {
+        let found = error(&file(&lines)).unwrap_or_else(|| panic!("not refused: {lines}"));
+        assert!(found.contains(expected), "{lines}\n{found}");
+    }
+}
+
+/// Paths of all values of a table, of lists and tables, too.
+fn paths(value: &Value, at: &[String]) -> Vec<Vec<String>> {
+    let below: Vec<(String, &Value)> = match value {
+        Value::Table(table) => table.iter().map(|(name, value)| (name.clone(), value)).collect(),
+        Value::Array(list) => list.iter().enumerate().map(|(at, value)| (at.to_string(), value)).collect(),
+        _ => Vec::new(),
+    };
+    let all = below.into_iter().map(|(name, value)| ([at, &[name]].concat(), value));
+    all.flat_map(|(path, value)| [vec![path.clone()], paths(value, &path)].concat()).collect()
+}
+
+/// Puts another value at a path, or removes what is there.
+fn changed(mut whole: Value, path: &[String], to: Option<Value>) -> Value {
+    let (last, before) = path.split_last().expect("a path has a step");
+    let mut into = &mut whole;
+    for step in before {
+        into = match into {
+            Value::Table(table) => table.get_mut(step).expect("it is there"),
+            Value::Array(list) => &mut list[step.parse::<usize>().expect("an index")],
+            other => panic!("{other} has no fields"),
+        };
+    }
+    match (into, to) {
+        (Value::Table(table), Some(to)) => drop(table.insert(last.clone(), to)),
+        (Value::Table(table), None) => drop(table.remove(last)),
+        (Value::Array(list), Some(to)) => list[last.parse::<usize>().expect("an index")] = to,
+        (Value::Array(list), None) => drop(list.remove(last.parse().expect("an index"))),
+        (other, _) => panic!("{other} has no fields"),
+    }
+    whole
+}
+
+#[test]
+fn every_mutation_of_a_task_file_is_accepted_or_refused_in_a_line_that_names_a_field() {
+    let whole: Value = Value::Table(FOUR_ROOMS.parse::<Table>().expect("it is TOML"));
+    let numbers = [f64::NAN, f64::INFINITY, -1.0, 0.0, 1e300, 1e-300, 5000.0].map(Value::Float);
+    let others = [
+        Value::String("many".to_owned()),
+        Value::String("\u{1b}[2J\n".to_owned()),
+        Value::Boolean(true),
+        Value::Integer(i64::MAX),
+        Value::Integer(-1),
+        Value::Array(Vec::new()),
+        Value::Table(Table::new()),
+    ];
+    let (mut refused, mut tried) = (0, 0);
+    for path in paths(&whole, &[]) {
+        let unknown = matches!(at(&whole, &path), Value::Table(_)).then(|| [&path[..], &["colour".to_owned()]].concat());
+        let values = numbers.iter().chain(&others).map(|value| (path.clone(), Some(value.clone())));
+        let all = values.chain([(path.clone(), None)]).chain(unknown.map(|path| (path, Some(Value::Boolean(true)))));
+        for (path, to) in all {
+            tried += 1;
+            let text = changed(whole.clone(), &path, to).to_string();
+            let Some(found) = error(&text) else { continue };
+            refused += 1;
+            assert_eq!(printable(&found, Layout::Line), found, "one line, without control characters");
+            // A size of ground, robots or walls may leave no room in an area.
+            let named = [path[0].as_str(), "exchange"].iter().any(|field| found.contains(field));
+            assert!(named && found.len() < 400, "{path:?}: {found}\n{text}");
+        }
+    }
+    assert!(tried > 600 && refused > 200, "{refused} of {tried} mutations are refused");
+}
+
+fn at<'a>(whole: &'a Value, path: &[String]) -> &'a Value {
+    path.iter().fold(whole, |value, step| match value {
+        Value::Array(list) => &list[step.parse::<usize>().expect("an index")],
+        value => &value[step.as_str()],
+    })
+}
