@@ -124,6 +124,8 @@ impl Arguments<'_, '_> {
         })?;
         let config = match self.config {
             None if scenario.cost().is_some() => without_goals(&*scenario, config),
+            // A file says all weights itself.
+            _ if file.is_none() => Config { reward: config.reward.weighted(scenario.weights()), ..config },
             _ => config,
         };
         if let Some(stage) =

@@ -337,7 +337,7 @@ impl VecEnv {
 
     /// Name of the scenario.
     #[getter]
-    fn scenario(&self) -> &'static str {
+    fn scenario(&self) -> &str {
         self.options.scenario.name()
     }
 

@@ -237,7 +237,7 @@ mod tests {
     const ROUND: Round = Round { term: 1, episode: 0 };
 
     fn heard(phases: [Phase; 2], at: Time) -> Presence {
-        let mut presence = Presence::new(2, 0);
+        let mut presence = Presence::new(2, Marks::default());
         for (robot, phase) in RobotId::team(2).zip(phases) {
             assert!(presence.take(at, Heartbeat::new(robot, ROUND, phase, Latch::default())));
         }

@@ -11,9 +11,7 @@ use crate::actor::Core;
 use crate::messages::geometry::Task;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
-use crate::messages::wire::{
-    Heartbeat, Hindrance, Leading, Located, Marks, Mode, Phase, Release, Round, Status, Stop,
-};
+use crate::messages::wire::{Heartbeat, Hindrance, Leading, Located, Marks, Mode, Phase, Release, Round, Status, Stop};
 use crate::results::episode::{AbortCause, AbortReason};
 use crate::scenario::cost::Ending;
 use crate::scenario::layout::Layouts;

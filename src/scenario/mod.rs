@@ -216,7 +216,11 @@ impl TeamSizes {
     /// whose name is `scenario`.
     pub fn check(self, scenario: &str, robots: usize) -> Result<usize, ScenarioError> {
         let supported = (self.least..=self.most).contains(&robots) && robots.is_multiple_of(self.multiple_of);
-        if supported { Ok(robots) } else { Err(ScenarioError::Robots { scenario: scenario.to_owned(), sizes: self, robots }) }
+        if supported {
+            Ok(robots)
+        } else {
+            Err(ScenarioError::Robots { scenario: scenario.to_owned(), sizes: self, robots })
+        }
     }
 }
 

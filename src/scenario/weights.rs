@@ -20,12 +20,8 @@ pub struct Weights {
 impl Weights {
     /// Returns the weights that are given, each with the name of its term.
     pub fn given(&self) -> impl Iterator<Item = (&'static str, f32)> + use<> {
-        let all = [
-            ("progress", self.progress),
-            ("arrival", self.arrival),
-            ("contact", self.contact),
-            ("time", self.time),
-        ];
+        let all =
+            [("progress", self.progress), ("arrival", self.arrival), ("contact", self.contact), ("time", self.time)];
         all.into_iter().filter_map(|(term, weight)| Some((term, weight?)))
     }
 }

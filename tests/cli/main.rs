@@ -16,5 +16,6 @@ mod shells;
 mod sizes;
 mod study;
 mod study_network;
+mod task_files;
 mod teams;
 mod train;

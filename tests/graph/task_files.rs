@@ -64,15 +64,30 @@ fn what_cannot_be_is_refused_by_its_field() {
         ("start = { disc = [0.0, 0.0, 1.0] }".to_owned(), "goal: it is missing"),
         (format!("{sides}\nplaces = [[0, 0]]"), "places: there is 'start' already"),
         (format!("{sides}\nunlabelled = true"), "unlabelled: unknown field"),
-        (format!("{sides}\nreward = {{ cohesion = 1.0 }}"), "reward.cohesion: unknown field `cohesion`, expected one of `progress`, `arrival`, `contact`, `time`"),
+        (
+            format!("{sides}\nreward = {{ cohesion = 1.0 }}"),
+            "reward.cohesion: unknown field `cohesion`, expected one of `progress`, `arrival`, `contact`, `time`",
+        ),
         (format!("{sides}\nwalls = [{{ disc = [0, 0, 1] }}]"), "walls[0]: a wall is a rectangle"),
         (format!("{sides}\nwalls = [{{ rect = [0, 0, -1, 1] }}]"), "walls[0].rect[0]: the smallest x comes first"),
         (format!("{sides}\nwalls = [{{ rect = [0, 0, nan, 1] }}]"), "walls[0].rect[2]: NaN is not"),
-        ("start = { disc = [0.0, -1.7, 0.3] }\ngoal = { rect = [-1.5, 0.7, 1.5, 2.5] }".to_owned(), "the task 'mine': start: it has room for 1 robots"),
-        ("start = { disc = [0.0, -1.0, 1.0] }\ngoal = { disc = [0.0, 1.0, 1.0] }".to_owned(), "goal: it is 0.000 m from start"),
-        ("places = [[-1, 0], [-1, 0.1], [1, 0], [0, 1], [0, 2], [1, 2]]".to_owned(), "places[1]: it is 0.100 m from places[0]"),
+        (
+            "start = { disc = [0.0, -1.7, 0.3] }\ngoal = { rect = [-1.5, 0.7, 1.5, 2.5] }".to_owned(),
+            "the task 'mine': start: it has room for 1 robots",
+        ),
+        (
+            "start = { disc = [0.0, -1.0, 1.0] }\ngoal = { disc = [0.0, 1.0, 1.0] }".to_owned(),
+            "goal: it is 0.000 m from start",
+        ),
+        (
+            "places = [[-1, 0], [-1, 0.1], [1, 0], [0, 1], [0, 2], [1, 2]]".to_owned(),
+            "places[1]: it is 0.100 m from places[0]",
+        ),
         ("places = [[-1, 0], [9, 0.1], [1, 0], [0, 1], [0, 2], [1, 2]]".to_owned(), "places[1]: no robot fits there"),
-        (format!("{sides}\nobstacles = [{{ count = 30, size_m = [1, 1], within = [-2, -2, 2, 2] }}]"), "obstacles[0]: there is no room"),
+        (
+            format!("{sides}\nobstacles = [{{ count = 30, size_m = [1, 1], within = [-2, -2, 2, 2] }}]"),
+            "obstacles[0]: there is no room",
+        ),
     ];
     for (lines, expected) in cases {
         let found = error(&file(&lines)).unwrap_or_else(|| panic!("not refused: {lines}"));
@@ -127,7 +142,8 @@ fn every_mutation_of_a_task_file_is_accepted_or_refused_in_a_line_that_names_a_f
     ];
     let (mut refused, mut tried) = (0, 0);
     for path in paths(&whole, &[]) {
-        let unknown = matches!(at(&whole, &path), Value::Table(_)).then(|| [&path[..], &["colour".to_owned()]].concat());
+        let unknown =
+            matches!(at(&whole, &path), Value::Table(_)).then(|| [&path[..], &["colour".to_owned()]].concat());
         let values = numbers.iter().chain(&others).map(|value| (path.clone(), Some(value.clone())));
         let all = values.chain([(path.clone(), None)]).chain(unknown.map(|path| (path, Some(Value::Boolean(true)))));
         for (path, to) in all {

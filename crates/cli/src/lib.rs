@@ -22,6 +22,7 @@ mod shells;
 mod sim;
 mod size;
 mod study;
+mod task;
 mod train;
 mod watch;
 
@@ -42,6 +43,7 @@ fn program() -> Program {
         Command::of("deployment", deployment::run),
         Command::with_subcommands("study", study::run),
         Command::of("train", train::run),
+        Command::with_subcommands("task", task::run),
     ];
     let teams = [
         Command::of("launch", launch::run).logging(Logging::RealTime),

@@ -17,7 +17,7 @@ impl Config {
         let build = |robots| registry.scenario(scenario, &Settings { robots, ..settings });
         let scenario = build(self.robots)?;
         let robots = scenario.robots();
-        self.reward = weighted(self.reward, scenario.weights());
+        self.reward = self.reward.weighted(scenario.weights());
         let supported = |size: usize| build(Some(size)).is_ok();
         for stage in &mut self.curriculum {
             for groups in &mut stage.groups {
@@ -28,15 +28,17 @@ impl Config {
     }
 }
 
-/// Returns the reward with the weights that a scenario gives.
-fn weighted(reward: Reward, weights: Weights) -> Reward {
-    Reward {
-        progress: weights.progress.unwrap_or(reward.progress),
-        arrival: weights.arrival.unwrap_or(reward.arrival),
-        time: weights.time.unwrap_or(reward.time),
-        wall: weights.contact.unwrap_or(reward.wall),
-        robot: weights.contact.unwrap_or(reward.robot),
-        ..reward
+impl Reward {
+    /// Returns the reward with the weights that a scenario gives to its terms.
+    pub fn weighted(self, weights: Weights) -> Reward {
+        Reward {
+            progress: weights.progress.unwrap_or(self.progress),
+            arrival: weights.arrival.unwrap_or(self.arrival),
+            time: weights.time.unwrap_or(self.time),
+            wall: weights.contact.unwrap_or(self.wall),
+            robot: weights.contact.unwrap_or(self.robot),
+            ..self
+        }
     }
 }
 

@@ -46,11 +46,9 @@ impl Area {
             Shape::Disc([x, y, radius_m]) => {
                 Area { cores: vec![point(*x, *y)], radius_m: radius_m * scale, is_formation: false }
             }
-            Shape::Points(points) => Area {
-                cores: points.iter().map(|[x, y]| point(*x, *y)).collect(),
-                radius_m: 0.0,
-                is_formation: true,
-            },
+            Shape::Points(points) => {
+                Area { cores: points.iter().map(|[x, y]| point(*x, *y)).collect(), radius_m: 0.0, is_formation: true }
+            }
         }
     }
 
@@ -148,8 +146,7 @@ fn admits(is_given: bool, arena: &Arena, place: Vec2) -> bool {
         let [min, max] = [portal.near.inf(&portal.far), portal.near.sup(&portal.far)];
         KeepOut { min, max }.distance(place) >= 2.0 * radius_m
     };
-    arena.admits(place)
-        && (is_given || arena.clearance(place) >= radius_m + room_m && arena.portals.iter().all(is_out))
+    arena.admits(place) && (is_given || arena.clearance(place) >= radius_m + room_m && arena.portals.iter().all(is_out))
 }
 
 fn is_apart(place: Vec2, others: &[Vec2], arena: &Arena) -> bool {

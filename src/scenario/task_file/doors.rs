@@ -166,7 +166,8 @@ mod tests {
     #[test]
     fn gaps_at_the_rim_in_two_layers_and_too_narrow_ones_are_told_apart() {
         // A wall in two layers with a door at its right end, and one with a slit.
-        let arena = arena(2.0, &[[-2.0, -0.2, 1.2, 0.0], [-2.0, 0.0, 1.2, 0.2], [-2.0, 1.0, 0.0, 1.2], [0.3, 1.0, 2.0, 1.2]]);
+        let arena =
+            arena(2.0, &[[-2.0, -0.2, 1.2, 0.0], [-2.0, 0.0, 1.2, 0.2], [-2.0, 1.0, 0.0, 1.2], [0.3, 1.0, 2.0, 1.2]]);
         let found = portals(&arena);
         let [Portal { near, far }] = found[..] else { panic!("{found:?}") };
         assert!((near - Vec2::new(1.725, -0.7)).norm() < 1e-5 && (far - Vec2::new(1.725, 0.7)).norm() < 1e-5);

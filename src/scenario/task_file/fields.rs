@@ -141,7 +141,10 @@ impl Fields {
         let wrong = |field: &str, why: String| Err(ConfigError::field(field, why));
         let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
         if !self.name.starts_with(|c: char| c.is_ascii_lowercase()) || !self.name.chars().all(plain) {
-            return wrong("name", "it is not of lower-case letters, digits and hyphens, with a letter first".to_owned());
+            return wrong(
+                "name",
+                "it is not of lower-case letters, digits and hyphens, with a letter first".to_owned(),
+            );
         }
         if self.name.len() > LONGEST_NAME {
             return wrong("name", format!("it is longer than {LONGEST_NAME} characters"));

@@ -17,14 +17,15 @@ use murmurate::policy::probe;
 use murmurate::policy::shipped;
 use murmurate::policy::weights;
 use murmurate::registry::Registry;
+use murmurate::scenario::task_file::is_task_file;
 
 /// Flags of `murmurate policy check`.
 #[derive(clap::Args)]
 pub struct Args {
     /// The policy file; or 'shipped' or 'published', for one that is built into the program
     policy: PathBuf,
-    /// Scenario of a built-in policy
-    #[arg(long, default_value = "passage")]
+    /// Scenario of a built-in policy; or the task file for which the policy is
+    #[arg(long, value_name = "NAME|FILE.toml", default_value = "passage")]
     scenario: String,
     /// Prints one JSON object instead of the table
     #[arg(long)]
@@ -48,7 +49,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     if hops::file::is_format_2(&bytes) {
         let file = hops::file::read(&bytes).map_err(|error| refuse(error.to_string()))?;
         let (network, difference) = hops::probe::network(file).map_err(|error| refuse(error.to_string()))?;
-        foreign(&network.manifest().scenario, registry).map_or(Ok(()), |why| Err(refuse(why)))?;
+        foreign(&network.manifest().scenario, args, registry)?.map_or(Ok(()), |why| Err(refuse(why)))?;
         let facts = Facts {
             file: name,
             digest: network.digest(),
@@ -65,7 +66,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let parameters = layers.map(|layer| (layer.inputs() + 1) * layer.outputs()).sum();
     let (network, difference) = probe::network(file).map_err(|error| refuse(error.to_string()))?;
     let manifest = network.manifest();
-    foreign(&manifest.scenario, registry).map_or(Ok(()), |why| Err(refuse(why)))?;
+    foreign(&manifest.scenario, args, registry)?.map_or(Ok(()), |why| Err(refuse(why)))?;
     let facts = Facts {
         file: name,
         digest: network.digest(),
@@ -112,16 +113,21 @@ fn show<M: Serialize>(args: &Args, facts: &Facts<M>, table: fn(&Facts<M>) -> Str
     Ok(Ended::Done)
 }
 
-/// Returns the reason why no command runs the policy, if the program has no scenario with the name in its file.
-fn foreign(scenario: &str, registry: &Registry) -> Option<String> {
-    let known: Vec<&str> = registry.scenarios().iter().map(|entry| entry.name).collect();
-    (!known.contains(&scenario)).then(|| {
+/// Returns the reason why no command runs the policy, if neither the program nor the task file of the flag `--scenario`
+/// has a scenario with the name in its file. Fails if that file cannot be read.
+fn foreign(scenario: &str, args: &Args, registry: &Registry) -> Result<Option<String>> {
+    let mut known: Vec<String> = registry.scenarios().iter().map(|entry| entry.name.to_owned()).collect();
+    if is_task_file(&args.scenario) {
+        let file = registry.task_file(&args.scenario).map_err(|error| BadInput(format!("--scenario: {error}")))?;
+        known.push(file.name().to_owned());
+    }
+    Ok((!known.iter().any(|name| name == scenario)).then(|| {
         format!(
-            "it is for the scenario '{scenario}', which this program does not have: it has {}; a crate of your own can \
-             add it (docs/library.md)",
+            "it is for the scenario '{scenario}', which this program does not have: it has {}; if that is a task file, \
+             name it with --scenario, and a crate of your own can add others (docs/library.md)",
             known.join(", ")
         )
-    })
+    }))
 }
 
 /// Returns the content of the policy file that the arguments name, or of a built-in policy of the scenario.

@@ -1,0 +1,241 @@
+//! The command `murmurate task`: checks a task file, tries scripted navigation in it, and draws it.
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use murmurate::config::shown::{counted, value};
+use murmurate::deploy::Deployment;
+use murmurate::messages::geometry::{Planar, Vec2};
+use murmurate::policy::Model;
+use murmurate::policy::roadmap::Roadmap;
+use murmurate::registry::Registry;
+use murmurate::scenario::{Arena, ScenarioError, Settings};
+use murmurate::trial::Trial;
+use murmurate_robot::output::print;
+use murmurate_robot::{BadInput, Ended};
+use serde::Serialize;
+
+use crate::picture::{Flags, Pictures};
+use crate::size::{self, SizeFlags};
+
+/// Name of scripted navigation in captions.
+const SCRIPTED: &str = "orca";
+/// Largest number of cells along each axis, into which the ground is divided in the search for closed rooms.
+const CELLS: f32 = 400.0;
+/// Side of a cell, in radii of the robots.
+const CELL: f32 = 0.25;
+
+/// Checks task files (docs/tasks.md).
+#[derive(clap::Subcommand)]
+#[command(
+    after_help = "Exit codes: 0 the task can be run; 1 something in it cannot work, and the output says what; 2 \
+    a flag or the file is wrong, and nothing was run."
+)]
+pub enum Args {
+    /// Checks a task file: reads it, looks for closed rooms and for goals that no way leads to, and tries scripted
+    /// navigation in some layouts
+    Check(Check),
+}
+
+/// Flags of `task check`.
+#[derive(clap::Args)]
+pub struct Check {
+    /// Task file
+    #[arg(value_name = "FILE.toml")]
+    file: PathBuf,
+    /// Size of the team [default: the file's own]
+    #[arg(long)]
+    robots: Option<usize>,
+    #[command(flatten)]
+    size: SizeFlags,
+    /// Number of layouts that are looked at, and of episodes of scripted navigation
+    #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    layouts: u32,
+    /// Seed of the layouts
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    #[command(flatten)]
+    pictures: Flags,
+    /// Prints one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Result of a check.
+#[derive(Serialize)]
+struct Checked {
+    name: String,
+    about: String,
+    /// Digest of the file, which hosts compare.
+    digest: String,
+    robots: usize,
+    /// Team sizes that the task takes, in words.
+    takes: String,
+    half_extent_m: [f32; 2],
+    hull_m: f32,
+    walls: usize,
+    doors: usize,
+    layouts: u32,
+    /// Number of episodes in which scripted navigation succeeded.
+    successes: usize,
+    success_rate: f64,
+    /// Success rate that the file demands of scripted navigation.
+    demanded: f64,
+    /// Descriptions of what cannot work.
+    findings: Vec<String>,
+}
+
+/// Runs `task`.
+pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
+    let Args::Check(args) = args;
+    let path = args.file.to_string_lossy();
+    let file = registry.task_file(&path).map_err(|error| BadInput(error.to_string()))?;
+    let settings = args.size.over(Settings { robots: args.robots, ..Settings::default() });
+    let scenario = file.scenario(&settings).map_err(|error| match error {
+        ScenarioError::TaskFile { error, .. } => BadInput(format!("the task file '{path}': {error}")),
+        error => size::refused(&error, &settings, &[]),
+    })?;
+    let pictures = Pictures::open(&args.pictures, args.layouts)?;
+    let deployment = Deployment::preset("sim", scenario.robots()).context("the mode 'sim' is a preset")?;
+    let deployment = deployment.sized(&settings);
+    let mut trial = Trial::with_registry(registry, deployment, scenario, Model::Orca);
+    trial = trial.seed(args.seed).episodes(args.layouts);
+    trial.steps = pictures.steps(0, trial.steps);
+    let mut findings = closed_rooms(trial.scenario.arena());
+    findings.extend(lost(&trial));
+    let report = trial.run();
+    let (successes, episodes) = (report.successes(), report.episodes.len());
+    let (success_rate, demanded) = (successes as f64 / episodes.max(1) as f64, trial.scenario.scripted_success());
+    if success_rate < demanded {
+        let why = format!(
+            "scripted_success: scripted navigation succeeds in {successes} of {episodes} episodes, and the file demands \
+             {:.1} %",
+            100.0 * demanded
+        );
+        findings.push(why);
+    }
+    let arena = trial.scenario.arena();
+    let checked = Checked {
+        name: file.name().to_owned(),
+        about: file.about().to_owned(),
+        digest: file.digest(),
+        robots: trial.scenario.robots(),
+        takes: file.team_sizes().to_string(),
+        half_extent_m: arena.half_extent.to_array(),
+        hull_m: arena.hull_m(),
+        walls: arena.keep_outs.len(),
+        doors: arena.portals.len(),
+        layouts: args.layouts,
+        successes,
+        success_rate,
+        demanded,
+        findings,
+    };
+    print(&if args.json { serde_json::to_string(&checked).context("a result is JSON")? } else { text(&checked) })?;
+    pictures.draw(&trial, SCRIPTED, &[report])?;
+    Ok(if checked.findings.is_empty() { Ended::Done } else { Ended::Unfit })
+}
+
+fn text(checked: &Checked) -> String {
+    let Checked { name, about, robots, takes, walls, doors, layouts, successes, .. } = checked;
+    let ground = checked.half_extent_m.map(|half_m| 2.0 * half_m);
+    let about = if about.is_empty() { String::new() } else { format!(": {}", value(about)) };
+    let mut lines = vec![
+        format!("{name}{about}"),
+        format!("  robots     {robots:>6}   of {takes}, hull {:.2} m", checked.hull_m),
+        format!(
+            "  ground     {} m x {} m, {}, {}",
+            ground[0],
+            ground[1],
+            counted(*walls, "wall"),
+            counted(*doors, "door")
+        ),
+        format!(
+            "  scripted   {:>6.1} % {successes} of {}; the file demands {:.1} %",
+            100.0 * checked.success_rate,
+            counted(*layouts, "layout"),
+            100.0 * checked.demanded
+        ),
+        format!("  digest     {}", checked.digest),
+    ];
+    lines.extend(checked.findings.iter().map(|finding| format!("cannot work: {finding}")));
+    lines.join("\n")
+}
+
+/// Returns a line about the robots that find no way from their starts to their goals.
+fn lost(trial: &Trial) -> Option<String> {
+    let roadmap = Roadmap::new(trial.scenario.arena());
+    let (mut layouts, mut first) = (BTreeSet::new(), None);
+    for episode in 0..trial.layouts.len() {
+        for (robot, task) in trial.layouts.episode(episode).iter().enumerate() {
+            if roadmap.path(task.start, task.goal).is_none() {
+                layouts.insert(episode);
+                first.get_or_insert((robot, episode, *task));
+            }
+        }
+    }
+    let (robot, episode, task) = first?;
+    Some(format!(
+        "goals: no way leads from start to goal in {} of {}: first for robot {robot} in layout {}, from {:.2} to {:.2}",
+        layouts.len(),
+        counted(trial.layouts.len(), "layout"),
+        episode + 1,
+        task.start.shown(),
+        task.goal.shown()
+    ))
+}
+
+/// Returns a line for each part of the ground but the largest, if no robot gets from one to another.
+fn closed_rooms(arena: &Arena) -> Vec<String> {
+    let half = arena.half_extent;
+    let cell_m = (CELL * arena.robot_radius_m).max(2.0 * half.max() / CELLS);
+    let [columns, rows] = [half.x, half.y].map(|half_m| (2.0 * half_m / cell_m).floor() as usize + 1);
+    let point = |at: usize| Vec2::new((at % columns) as f32, (at / columns) as f32) * cell_m - half;
+    let mut open: Vec<bool> = (0..columns * rows).map(|at| arena.admits(point(at))).collect();
+    let mut parts: Vec<(usize, Vec2)> = Vec::new();
+    for from in 0..open.len() {
+        let (mut waiting, mut cells, mut sum) = (vec![from], 0, Vec2::zeros());
+        while let Some(at) = waiting.pop() {
+            if !std::mem::take(&mut open[at]) {
+                continue;
+            }
+            (cells, sum) = (cells + 1, sum + point(at));
+            let (x, y) = (at % columns, at / columns);
+            waiting.extend((x > 0).then(|| at - 1));
+            waiting.extend((x + 1 < columns).then(|| at + 1));
+            waiting.extend((y > 0).then(|| at - columns));
+            waiting.extend((y + 1 < rows).then(|| at + columns));
+        }
+        if cells > 0 {
+            parts.push((cells, sum / cells as f32));
+        }
+    }
+    parts.sort_by_key(|(cells, _)| std::cmp::Reverse(*cells));
+    let closed = parts.iter().skip(1).map(|(cells, middle)| {
+        let area = *cells as f32 * cell_m * cell_m;
+        format!("walls: no robot gets from the rest of the ground to {area:.2} m^2 around {:.2}", middle.shown())
+    });
+    closed.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use murmurate::scenario::KeepOut;
+
+    #[test]
+    fn a_closed_room_is_named_with_its_place_and_an_open_one_is_not() {
+        let wall = |min: [f32; 2], max: [f32; 2]| KeepOut { min: min.into(), max: max.into() };
+        let arena = |walls: Vec<KeepOut>| Arena {
+            half_extent: Vec2::repeat(2.0),
+            keep_outs: walls,
+            portals: Vec::new(),
+            robot_radius_m: 0.25,
+        };
+        assert!(closed_rooms(&arena(Vec::new())).is_empty());
+        let found = closed_rooms(&arena(vec![wall([-2.0, 0.9], [2.0, 1.1])]));
+        assert!(found.len() == 1 && found[0].contains("around [0.00, 1.6"), "{found:?}");
+        assert!(closed_rooms(&arena(vec![wall([-1.4, 0.9], [2.0, 1.1])])).is_empty());
+    }
+}
