@@ -220,15 +220,15 @@ impl Registry {
         self
     }
 
-    /// Sets the function that reads task files, and returns the registry. A name of a scenario that ends with `.toml` is
-    /// the path of such a file.
+    /// Sets the function that reads task files, and returns the registry. A name of a scenario that ends with `.toml`
+    /// is the path of such a file.
     pub fn reading_tasks(mut self, read: ReadText) -> Registry {
         self.reads_tasks = Some(read);
         self
     }
 
-    /// Returns the registry with a task file under the name `name`, such as its path. So scenarios of that name that are
-    /// made later are of this content, whatever happens to the file in the meantime.
+    /// Returns the registry with a task file under the name `name`, such as its path. So scenarios of that name that
+    /// are made later are of this content, whatever happens to the file in the meantime.
     pub fn with_task(mut self, name: &str, file: TaskFile) -> Registry {
         self.tasks.insert(name.to_owned(), file);
         self

@@ -71,8 +71,8 @@ pub struct TeamAfterStep<'a> {
 /// those of the commanded point. It is the centre of a holonomic robot, and a point ahead of the axle of a differential
 /// drive.
 pub trait Scenario: Debug + Send + Sync {
-    /// Returns the name of the scenario, by which a user selects it on the command line. That of a task file is the name
-    /// in the file, and it is selected by the file's path.
+    /// Returns the name of the scenario, by which a user selects it on the command line. That of a task file is the
+    /// name in the file, and it is selected by the file's path.
     fn name(&self) -> &str;
 
     /// Returns the number of robots in the team.

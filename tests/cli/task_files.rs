@@ -1,4 +1,5 @@
-//! Task files, wherever a scenario is chosen: the check of a file, simulations and their records, trainings, team files.
+//! Task files, wherever a scenario is chosen: the check of a file, simulations and their records, trainings, team
+//! files.
 
 use crate::program::{murmurate, refuses, run, text};
 use serde_json::Value;

@@ -109,8 +109,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let (success_rate, demanded) = (successes as f64 / episodes.max(1) as f64, trial.scenario.scripted_success());
     if success_rate < demanded {
         let why = format!(
-            "scripted_success: scripted navigation succeeds in {successes} of {episodes} episodes, and the file demands \
-             {:.1} %",
+            "scripted_success: scripted navigation succeeds in {successes} of {episodes} episodes, and the file \
+             demands {:.1} %",
             100.0 * demanded
         );
         findings.push(why);

@@ -121,8 +121,8 @@ struct Inline {
 }
 
 impl Team {
-    /// Makes the team's scenario, in the size of its deployment; `registry` has it, unless it is of a task file. An error
-    /// names the wrong setting.
+    /// Makes the team's scenario, in the size of its deployment; `registry` has it, unless it is of a task file. An
+    /// error names the wrong setting.
     pub fn make_scenario(&self, registry: &Registry) -> Result<Arc<dyn Scenario>, ScenarioError> {
         let settings = self.deployment.settings();
         match &self.task {

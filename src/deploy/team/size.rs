@@ -49,8 +49,8 @@ pub fn build(
     })
 }
 
-/// Returns `safety` with the least distances to robots and walls of robots with the hull of the `deployment`, or else of
-/// the team's task file, unless the team file has distances of its own. An error names the field.
+/// Returns `safety` with the least distances to robots and walls of robots with the hull of the `deployment`, or else
+/// of the team's task file, unless the team file has distances of its own. An error names the field.
 pub fn about_hulls(
     safety: Safety,
     layers: &Layers,

@@ -279,8 +279,8 @@ impl Shared {
 }
 
 impl Shared {
-    /// Returns the paths of the files that the flags name: policies, `--scenario`, `--episodes-file` and `--conditions`.
-    /// Names of policies and scenarios in the registry are among them.
+    /// Returns the paths of the files that the flags name: policies, `--scenario`, `--episodes-file` and
+    /// `--conditions`. Names of policies and scenarios in the registry are among them.
     pub fn files(&self) -> Vec<PathBuf> {
         let policies = self.policies.iter().map(|given| PathBuf::from(split(given).map_or(&**given, |(file, _)| file)));
         let files = [&self.episodes_file, &self.conditions].into_iter().flatten().cloned();
