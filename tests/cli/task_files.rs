@@ -40,7 +40,7 @@ fn a_task_is_checked_and_what_cannot_work_is_named() {
     let wrong = file(&folder, "wrong.toml", &TEXT.replace("limit_s = 60.0", "limit_s = -60.0"));
     refuses(&["task", "check", &wrong], &["wrong.toml", "rules.limit_s: -60 is not 1 to 3600"]);
     let small = file(&folder, "small.toml", &TEXT.replace("[0.7, 0.7, 2.7, 2.7]", "[0.7, 0.7, 0.8, 0.8]"));
-    refuses(&["task", "check", &small], &["small.toml", "exchange[3]: it has room for 1 robots"]);
+    refuses(&["task", "check", &small], &["small.toml", "exchange[3]: it has room for 1 robot with"]);
     refuses(&["task", "check", "nowhere.toml"], &["cannot read the task file 'nowhere.toml'"]);
 }
 

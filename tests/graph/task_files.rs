@@ -73,7 +73,7 @@ fn what_cannot_be_is_refused_by_its_field() {
         (format!("{sides}\nwalls = [{{ rect = [0, 0, nan, 1] }}]"), "walls[0].rect[2]: NaN is not"),
         (
             "start = { disc = [0.0, -1.7, 0.3] }\ngoal = { rect = [-1.5, 0.7, 1.5, 2.5] }".to_owned(),
-            "the task 'mine': start: it has room for 1 robots",
+            "the task 'mine': start: it has room for 1 robot with",
         ),
         (
             "start = { disc = [0.0, -1.0, 1.0] }\ngoal = { disc = [0.0, 1.0, 1.0] }".to_owned(),
@@ -148,7 +148,7 @@ fn every_mutation_of_a_task_file_is_accepted_or_refused_in_a_line_that_names_a_f
         let all = values.chain([(path.clone(), None)]).chain(unknown.map(|path| (path, Some(Value::Boolean(true)))));
         for (path, to) in all {
             tried += 1;
-            let text = changed(whole.clone(), &path, to).to_string();
+            let text = toml::to_string(&changed(whole.clone(), &path, to)).expect("it is TOML");
             let Some(found) = error(&text) else { continue };
             refused += 1;
             assert_eq!(printable(&found, Layout::Line), found, "one line, without control characters");

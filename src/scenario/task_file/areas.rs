@@ -65,7 +65,7 @@ impl Area {
 
     /// Returns the number of robots for which the area certainly has room, at most `wanted`.
     pub fn room(&self, arena: &Arena, wanted: usize) -> usize {
-        let places = if self.is_formation { self.points() } else { self.lattice(arena) };
+        let places = if self.is_formation { self.points() } else { self.fullest(arena) };
         let mut apart: Vec<Vec2> = Vec::new();
         for place in places {
             if apart.len() < wanted && is_apart(place, &apart, arena) && admits(self.is_formation, arena, place) {
@@ -84,7 +84,7 @@ impl Area {
                     return drawn;
                 }
             }
-            places = self.lattice(arena);
+            places = self.fullest(arena);
         }
         places.shuffle(stream);
         places.truncate(count);
@@ -105,12 +105,21 @@ impl Area {
         Some(drawn)
     }
 
-    /// Returns the points of a lattice in the area at which robots have room.
-    fn lattice(&self, arena: &Arena) -> Vec<Vec2> {
+    /// Returns the points of that lattice at which most robots have room: of those with a point in the middle of the
+    /// area along an axis, or two beside it.
+    fn fullest(&self, arena: &Arena) -> Vec<Vec2> {
+        let all = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]].map(|fewer| self.lattice(arena, fewer.into()));
+        // The first of equal ones.
+        all.into_iter().rev().max_by_key(Vec::len).expect("there are four")
+    }
+
+    /// Returns the points of a lattice in the area at which robots have room, with `fewer` points along each axis than
+    /// it has room for.
+    fn lattice(&self, arena: &Arena, fewer: Vec2) -> Vec<Vec2> {
         let (low, high) = self.bounds();
         let size = high - low;
         let step_m = (LATTICE * least_m(arena)).max(size.max() / MOST_POINTS);
-        let steps = size.map(|side| (side / step_m).floor());
+        let steps = (size.map(|side| (side / step_m).floor()) - fewer).sup(&Vec2::zeros());
         let from = low + (size - steps * step_m) / 2.0;
         let column = |x: usize| (0..=steps.y as usize).map(move |y| from + Vec2::new(x as f32, y as f32) * step_m);
         let points = (0..=steps.x as usize).flat_map(column);

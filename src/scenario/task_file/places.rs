@@ -9,6 +9,7 @@ use rand::seq::SliceRandom;
 use super::areas::{Area, least_m};
 use super::fields::{Fields, Shape};
 use crate::config::ConfigError;
+use crate::config::shown::counted;
 use crate::messages::geometry::Vec2;
 use crate::random::Seed;
 use crate::scenario::arena::Arena;
@@ -133,8 +134,9 @@ fn check_area(field: &str, area: &Area, robots: usize, arena: &Arena) -> Result<
         return Ok(());
     }
     let why = format!(
-        "it has room for {room} robots with a hull of {} m, and {robots} belong there: make it larger, the robots \
-         fewer or their hulls smaller",
+        "it has room for {} with a hull of {} m, and {robots} belong there: make it larger, the robots fewer or their \
+         hulls smaller",
+        counted(room, "robot"),
         arena.hull_m()
     );
     Err(ConfigError::field(field, why))
