@@ -4,7 +4,9 @@ import concurrent.futures
 import copy
 import gc
 import multiprocessing
+import pathlib
 import pickle
+import shutil
 import threading
 import weakref
 
@@ -173,3 +175,19 @@ def test_environments_are_freed():
         del env
         gc.collect()
         assert seen() is None, make
+
+
+def test_a_pickle_of_a_task_file_needs_no_file(tmp_path):
+    file = tmp_path / "rooms.toml"
+    shutil.copy(pathlib.Path(__file__).parents[2] / "examples/tasks/four-rooms.toml", file)
+    env = VecEnv(file, 3, conditions="robust", seed=4)
+    assert (env.scenario, env.num_robots) == ("four-rooms", 6)
+    rolled(env, 5)
+    kept = pickle.dumps(env)
+    file.unlink()
+    again = pickle.loads(kept)
+    assert again.scenario == "four-rooms"
+    for ours, theirs in zip(rolled(env), rolled(again)):
+        np.testing.assert_array_equal(ours, theirs)
+    with pytest.raises(ValueError, match=r"scenario: the task file '.*rooms.toml': cannot read"):
+        VecEnv(file)
