@@ -49,7 +49,7 @@ pub struct Registry {
     extended: bool,
 }
 
-/// Function that returns the text of a file, given its path. An error describes the fault.
+/// Function that returns the text of a file, given its path. An error describes the fault and names the file.
 pub type ReadText = fn(&str) -> Result<String, String>;
 
 /// Error for a name that is not in the registry. Its text lists the names in the registry.
@@ -301,7 +301,8 @@ impl Registry {
         }
         let wrong = |why: String| ScenarioError::Unread { file: path.to_owned(), why };
         let read = self.reads_tasks.ok_or_else(|| wrong("this program reads no files".to_owned()))?;
-        let file = TaskFile::read(&read(path).map_err(wrong)?).map_err(|error| wrong(error.to_string()))?;
+        let text = read(path).map_err(ScenarioError::Unreadable)?;
+        let file = TaskFile::read(&text).map_err(|error| wrong(error.to_string()))?;
         if self.scenarios.iter().any(|entry| entry.name == file.name()) {
             return Err(wrong(format!("name: '{}' is a scenario of this program", file.name())));
         }

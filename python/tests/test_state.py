@@ -187,7 +187,6 @@ def test_a_pickle_of_a_task_file_needs_no_file(tmp_path):
     file.unlink()
     again = pickle.loads(kept)
     assert again.scenario == "four-rooms"
-    for ours, theirs in zip(rolled(env), rolled(again)):
-        np.testing.assert_array_equal(ours, theirs)
-    with pytest.raises(ValueError, match=r"scenario: the task file '.*rooms.toml': cannot read"):
+    assert rolled(env) == rolled(again)
+    with pytest.raises(ValueError, match="scenario: cannot read the task file"):
         VecEnv(file)

@@ -330,7 +330,10 @@ pub enum ScenarioError {
         /// Reason of the refusal, for the user.
         why: String,
     },
-    /// The text of a task file cannot be read.
+    /// A task file cannot be read.
+    #[error("{0}")]
+    Unreadable(String),
+    /// The text of a task file is none of a task.
     #[error("the task file '{file}': {why}")]
     Unread {
         /// Path of the file, as it was given.
@@ -357,6 +360,7 @@ impl ScenarioError {
             ScenarioError::Size { field, .. } => field,
             ScenarioError::Unknown { .. }
             | ScenarioError::Refused { .. }
+            | ScenarioError::Unreadable(_)
             | ScenarioError::Unread { .. }
             | ScenarioError::TaskFile { .. } => "scenario",
         }
