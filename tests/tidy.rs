@@ -397,8 +397,9 @@ fn nothing_asks_for_a_mode_or_a_link_by_name() {
                 "crates/study/src/columns.rs",
                 "crates/study/src/published.rs",
                 "crates/study/src/network/growth.rs",
-                // Default of a flag.
+                // Defaults of flags.
                 "crates/cli/src/sim/mod.rs",
+                "crates/cli/src/task.rs",
                 // A command has the name of a mode.
                 "crates/cli/src/lib.rs",
             ],

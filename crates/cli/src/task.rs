@@ -16,6 +16,7 @@ use murmurate_robot::output::print;
 use murmurate_robot::{BadInput, Ended};
 use serde::Serialize;
 
+use crate::deployment::ModeParser;
 use crate::picture::{Flags, Pictures};
 use crate::size::{self, SizeFlags};
 
@@ -49,6 +50,9 @@ pub struct Check {
     robots: Option<usize>,
     #[command(flatten)]
     size: SizeFlags,
+    /// Mode of the episodes of scripted navigation (see 'murmurate deployment')
+    #[arg(long, default_value = "sim", value_parser = ModeParser)]
+    mode: String,
     /// Number of layouts that are looked at, and of episodes of scripted navigation
     #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     layouts: u32,
@@ -97,9 +101,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         error => size::refused(&error, &settings, &[]),
     })?;
     let pictures = Pictures::open(&args.pictures, args.layouts)?;
-    let deployment = Deployment::preset("sim", scenario.robots()).context("the mode 'sim' is a preset")?;
-    let deployment = deployment.sized(&settings);
-    let mut trial = Trial::with_registry(registry, deployment, scenario, Model::Orca);
+    let deployment = Deployment::preset(&args.mode, scenario.robots()).expect("the parser lets only modes through");
+    let mut trial = Trial::with_registry(registry, deployment.sized(&settings), scenario, Model::Orca);
     trial = trial.seed(args.seed).episodes(args.layouts);
     trial.steps = pictures.steps(0, trial.steps);
     let mut findings = closed_rooms(trial.scenario.arena());

@@ -34,7 +34,7 @@ use crate::messages::wire::{KINDS, Kind};
 use crate::net::transport::Place;
 use crate::registry::Registry;
 use crate::safety::{Clamp, Safety};
-use crate::scenario::{Scenario, ScenarioError, Settings, TaskFile};
+use crate::scenario::{Scenario, Settings, TaskFile};
 use crate::time::Span;
 use crate::world::{ContactRule, Overrides, Physics, Sensor};
 
@@ -118,18 +118,6 @@ struct Inline {
     senses: Senses,
     #[serde(default)]
     roles: Roles,
-}
-
-impl Team {
-    /// Makes the team's scenario, in the size of its deployment; `registry` has it, unless it is of a task file. An
-    /// error names the wrong setting.
-    pub fn make_scenario(&self, registry: &Registry) -> Result<Arc<dyn Scenario>, ScenarioError> {
-        let settings = self.deployment.settings();
-        match &self.task {
-            Some((_, file)) => file.scenario(&settings),
-            None => registry.scenario(&self.scenario, &settings),
-        }
-    }
 }
 
 impl TeamFile {

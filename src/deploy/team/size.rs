@@ -4,13 +4,25 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use super::layers::{LayerValue, Layers, place};
-use super::text;
+use super::{Team, text};
 use crate::config::ConfigError;
 use crate::deploy::Deployment;
 use crate::registry::Registry;
 use crate::safety::Safety;
 use crate::scenario::task_file::is_task_file;
 use crate::scenario::{Scenario, ScenarioError, Settings};
+
+impl Team {
+    /// Makes the team's scenario, in the size of its deployment; `registry` has it, unless it is of a task file. An
+    /// error names the wrong setting.
+    pub fn make_scenario(&self, registry: &Registry) -> Result<Arc<dyn Scenario>, ScenarioError> {
+        let settings = self.deployment.settings();
+        match &self.task {
+            Some((_, file)) => file.scenario(&settings),
+            None => registry.scenario(&self.scenario, &settings),
+        }
+    }
+}
 
 /// Returns the registry with the task file that the field `scenario` names, if it names one, and the path of that file.
 /// All scenarios of the team are then of this content. `path` returns the path that a field contains. An error names
