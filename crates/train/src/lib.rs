@@ -30,6 +30,7 @@ mod rolling;
 pub mod rollout;
 mod scale;
 pub mod snapshot;
+mod task;
 pub mod trainer;
 pub mod update;
 pub mod vector;

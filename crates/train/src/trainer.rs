@@ -178,16 +178,7 @@ impl Trainer {
     /// If the registry does not have the scenario, the scenario has no reward of its own although the configuration
     /// weights it, or a stage of the curriculum cannot be set up.
     pub fn new(mut plan: Plan, registry: &Registry) -> Result<Trainer, SetupError> {
-        let settings = plan.config.settings(plan.config.robots, None);
-        let mut registry = registry.clone();
-        if let Some(text) = &plan.task {
-            registry = registry.with_task_text(&plan.scenario, text)?;
-        }
-        let scenario = registry.scenario(&plan.scenario, &settings)?;
-        if let Some(file) = scenario.task_file() {
-            plan.task = Some(file.text().to_owned());
-            registry = registry.with_task(&plan.scenario, file.clone());
-        }
+        let (registry, scenario) = plan.scenario(registry)?;
         let weight = plan.config.reward.scenario;
         if weight > 0.0 && !has_reward(&*scenario) {
             return Err(SetupError::NoReward { scenario: plan.scenario, weight });
