@@ -195,7 +195,8 @@ fn closed_rooms(arena: &Arena) -> Vec<String> {
     let cell_m = (CELL * arena.robot_radius_m).max(2.0 * half.max() / CELLS);
     let [columns, rows] = [half.x, half.y].map(|half_m| (2.0 * half_m / cell_m).floor() as usize + 1);
     let point = |at: usize| Vec2::new((at % columns) as f32, (at / columns) as f32) * cell_m - half;
-    let mut open: Vec<bool> = (0..columns * rows).map(|at| arena.admits(point(at))).collect();
+    let is_open = |at: usize| arena.clearance(point(at)) > arena.robot_radius_m;
+    let mut open: Vec<bool> = (0..columns * rows).map(is_open).collect();
     let mut parts: Vec<(usize, Vec2)> = Vec::new();
     for from in 0..open.len() {
         let (mut waiting, mut cells, mut sum) = (vec![from], 0, Vec2::zeros());
