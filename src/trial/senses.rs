@@ -35,6 +35,13 @@ impl Trial {
         by_index.into_values().collect()
     }
 
+    /// Returns the number of values of one measurement of each sense of each robot, together.
+    pub fn sensed_values(&self) -> usize {
+        let of_robot = |robot| self.senses(robot).unwrap_or_default();
+        let all = RobotId::team(self.deployment.robots).flat_map(of_robot);
+        all.map(|(_, _, parts)| parts.layout.floats()).sum()
+    }
+
     /// Returns the channels of the observation that are senses of a robot.
     pub(super) fn sense_channels(&self, robot: RobotId) -> Vec<Channel> {
         let all = self.senses(robot).unwrap_or_default();

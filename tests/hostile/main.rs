@@ -248,7 +248,7 @@ fn small() -> Trainer {
     (config.ppo.environments, config.ppo.decisions, config.ppo.minibatch) = (40, 4, 80);
     (config.policy.encoder, config.policy.update) = (vec![6, 6], vec![8]);
     config.policy.message = vec![8, 8, 8];
-    let plan = Plan { scenario: "passage".to_owned(), preset: "robust".to_owned(), config, seed: 1 };
+    let plan = Plan { scenario: "passage".to_owned(), preset: "robust".to_owned(), config, seed: 1, task: None };
     Trainer::new(plan, &murmurate::registry::Registry::builtin()).expect("it is sound")
 }
 

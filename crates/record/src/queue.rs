@@ -199,11 +199,6 @@ impl Inlet {
 
     fn end(&self, now: Time, nothing_else: bool) {
         self.turned.set(now);
-        let due = self.counted.get().is_none_or(|at| now.since(at) >= COUNT_PERIOD);
-        if self.missing.get() > 0 && due && self.events.borrow().len() + 1 < CAPACITY {
-            self.counted.set(Some(now));
-            self.events.borrow_mut().push(Event::Dropped(self.missing.replace(0)));
-        }
         if now.since(self.second_began.get()) >= Span::from_millis(1000) {
             self.second_began.set(now);
             self.input_bytes.set(0);
@@ -219,6 +214,21 @@ impl Inlet {
         if !carried.is_empty() {
             counts_of(carried).for_each(|event| self.add(event));
             self.add(Event::Turn(self.carried_at.get()));
+        }
+        if self.when_full == WhenFull::Drop {
+            turn.retain(|event| {
+                let beyond = self.is_beyond(event);
+                if beyond {
+                    self.miss();
+                }
+                !beyond
+            });
+        }
+        // Before the turn that lacks an event, so that a replay ends there.
+        let due = self.counted.get().is_none_or(|at| now.since(at) >= COUNT_PERIOD);
+        if self.missing.get() > 0 && due && self.events.borrow().len() + 1 < CAPACITY {
+            self.counted.set(Some(now));
+            self.events.borrow_mut().push(Event::Dropped(self.missing.replace(0)));
         }
         // A replay gives orders of the host's own process after all other inputs.
         let is_order = |event: &Event| matches!(event, Event::Input(input) if input.is_order());
@@ -238,11 +248,10 @@ impl Inlet {
         }
     }
 
-    /// Adds an event to those for the writer. In real time it is dropped if the queue is full, or if it is an input and
-    /// the inputs of this second exceed 1 MB.
+    /// Adds an event to those for the writer. In real time it is dropped if the queue is full.
     fn add(&self, event: Event) {
         let mut events = self.events.borrow_mut();
-        if self.when_full == WhenFull::Drop && (events.len() >= CAPACITY || self.is_beyond(&event)) {
+        if self.when_full == WhenFull::Drop && events.len() >= CAPACITY {
             return self.miss();
         }
         events.push(event);
@@ -396,6 +405,7 @@ mod tests {
             }
             inlet.turn(Time::from_nanos(turn * 1_000_000));
             assert!(outlet.take(&mut events));
+            let before = bytes;
             for event in events.drain(..) {
                 match event {
                     Event::Input(Input::Frame(_, frame, _)) => bytes += frame.len(),
@@ -403,6 +413,7 @@ mod tests {
                     _ => {}
                 }
             }
+            assert!(bytes == before + 10_000 || marks > 0, "a turn that lacks an input comes after its mark");
         }
         assert_eq!((bytes, marks), (3_000_000, 3), "of 25 MB in 2.5 s");
         assert_eq!(inlet.dropped(), 22_000);

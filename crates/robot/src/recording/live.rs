@@ -23,6 +23,11 @@ use murmurate_record::topics::{Stage, Topics};
 use murmurate_record::writer::Recording;
 use murmurate_record::{Event, Scope};
 
+/// Largest size of a value of a sense in the inputs of a host, as text of a program and as a message of others
+/// \[bytes\], and number of measurements a second for which a record has room.
+const SENSED_BYTES: usize = 33;
+const SENSED_PER_S: usize = 50;
+
 /// Longest time that a process waits at its end until its record is written.
 const FINISH_TIMEOUT: Duration = Duration::from_millis(1500);
 
@@ -66,7 +71,8 @@ impl LiveRecord {
         // A worker's answers have all floats of its robots' messages.
         let (features, period) = (trial.models.features(), trial.models.period());
         let answered = 4.0 * (trial.deployment.robots * features) as f64 / period.as_secs();
-        record.inlet.expect((3.0 * heard + 1.5 * answered) as usize);
+        let sensed = SENSED_BYTES * SENSED_PER_S * trial.sensed_values();
+        record.inlet.expect((3.0 * heard + 1.5 * answered) as usize + sensed);
         Ok(Some(record))
     }
 
