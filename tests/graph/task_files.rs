@@ -73,7 +73,7 @@ fn what_cannot_be_is_refused_by_its_field() {
         (format!("{sides}\nwalls = [{{ rect = [0, 0, nan, 1] }}]"), "walls[0].rect[2]: NaN is not"),
         (
             "start = { disc = [0.0, -1.7, 0.3] }\ngoal = { rect = [-1.5, 0.7, 1.5, 2.5] }".to_owned(),
-            "the task 'mine': start: it has room for 1 robot with",
+            "the task 'mine': start: it has room for 2 robots with",
         ),
         (
             "start = { disc = [0.0, -1.0, 1.0] }\ngoal = { disc = [0.0, 1.0, 1.0] }".to_owned(),
