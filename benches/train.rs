@@ -184,7 +184,7 @@ fn trainer(name: &str, epochs: usize) -> Trainer {
     config.curriculum =
         vec![CurriculumStage { until: 1.0, groups: vec![vec![5]], repeat: 4, gap_m: None, penalties: 1.0 }];
     (config.ppo.epochs, config.ppo.kl_stop) = (epochs, f32::INFINITY);
-    let plan = Plan { scenario: "passage".to_owned(), preset: name.to_owned(), config, seed: 1 };
+    let plan = Plan { scenario: "passage".to_owned(), preset: name.to_owned(), config, seed: 1, task: None };
     Trainer::new(plan, &Registry::builtin()).expect("the preset passes its check")
 }
 

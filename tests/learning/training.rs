@@ -44,7 +44,7 @@ fn differential() -> chassis::Settings {
 }
 
 fn plan(config: Config, seed: u64) -> Plan {
-    Plan { scenario: "passage".to_owned(), preset: "small".to_owned(), config, seed }
+    Plan { scenario: "passage".to_owned(), preset: "small".to_owned(), config, seed, task: None }
 }
 
 /// Runs a few iterations through every stage; returns the checkpoint after `stop` of them, and the final policy.
