@@ -2,8 +2,8 @@
 //! broadcasts and remembers, and what its action means.
 //!
 //! [`Contract`] reads the contract, [`structure`] what a graph says of itself, [`engine`] runs a graph, [`network`] has
-//! the graphs of a policy, [`frames`] and [`joint`] the calls of one in Python, and [`policy`] makes the inputs of a call
-//! from what a robot observes and hears. [`check`] runs a policy on made-up inputs before a robot moves by it. The
+//! the graphs of a policy, [`frames`] and [`joint`] the calls of one in Python, and [`policy`] makes the inputs of a
+//! call from what a robot observes and hears. [`check`] runs a policy on made-up inputs before a robot moves by it. The
 //! contract's fields are in docs/policy-format-3.md.
 
 mod action;
