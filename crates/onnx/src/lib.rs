@@ -13,6 +13,7 @@ pub mod engine;
 mod features;
 pub mod frames;
 pub mod joint;
+mod memory;
 mod message;
 pub mod network;
 mod observed;

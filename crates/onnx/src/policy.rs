@@ -16,6 +16,7 @@ use murmurate::time::Span;
 use crate::contract::{Contract, Distribution, Kind, Pad};
 use crate::engine::{Array, Engine};
 use crate::features;
+use crate::memory::Memory;
 use crate::network::{Graph, Network, Output, Source};
 use crate::structure::Role;
 
@@ -44,35 +45,12 @@ pub(crate) struct Robot {
     failures: u64,
 }
 
-/// Numbers that a policy keeps from one step to the next; zeros at the start.
-#[derive(Clone)]
-struct Memory {
-    /// Message of the last step, in a policy whose one graph makes it.
-    message: Vec<f32>,
-    state: Vec<f32>,
-    /// Whether the message is that of the last step: there is one, and it has not failed.
-    is_new: bool,
-}
-
 /// Progress of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Progress {
     Encoded,
     Acted,
     Failed,
-}
-
-impl Memory {
-    fn new(message: usize, state: usize) -> Memory {
-        Memory { message: vec![0.0; message], state: vec![0.0; state], is_new: false }
-    }
-
-    /// Takes over the numbers of `other`, a memory of the same policy.
-    fn copy(&mut self, other: &Memory) {
-        self.message.copy_from_slice(&other.message);
-        self.state.copy_from_slice(&other.state);
-        self.is_new = other.is_new;
-    }
 }
 
 impl Robot {
