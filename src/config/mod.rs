@@ -53,6 +53,19 @@ const SHOWN_DIGITS: usize = 32;
 /// Longest name of an unknown field that an error repeats \[characters\].
 const SHOWN_NAME: usize = 32;
 
+/// Checks the `value` of a field against the smallest and the largest that there may be, which are both allowed; NaN is
+/// refused. The error names the field.
+pub fn in_range<T: PartialOrd + std::fmt::Display>(
+    field: &str,
+    value: T,
+    (least, most): (T, T),
+) -> Result<(), ConfigError> {
+    if (&least..=&most).contains(&&value) {
+        return Ok(());
+    }
+    Err(ConfigError::field(field, format!("{value} is not {least} to {most}")))
+}
+
 /// Parses a value of type `T` from a TOML text. The error names line, column and expected type, and quotes no value of
 /// the text.
 pub fn from_toml<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {

@@ -353,7 +353,7 @@ mod tests {
             let script =
                 format!("echo $$ > {0}; tail -f /dev/null & echo $! >> {0}; echo up; {ending}", file.display());
             let command = ["sh", "-c", &script].map(str::to_owned).to_vec();
-            let (gate, running) = start(Box::new(Program::new(command)), "a program").unwrap();
+            let (gate, running) = start(Box::new(Program::new(command)), "a program").expect("it starts");
             let started = pids(&file, 2);
             // One that ends by itself takes with it at once what it has forked.
             assert!(runs(started[1]) || ending == "exit 0", "{ending}");
@@ -381,7 +381,7 @@ mod tests {
     #[test]
     fn a_program_that_ends_is_started_again_and_what_it_said_before_is_known_to_be_old() {
         let command = ["sh", "-c", "echo $$; read -r line; echo \"$line\""].map(str::to_owned).to_vec();
-        let (mut gate, running) = start(Box::new(Program::new(command)), "a program").unwrap();
+        let (mut gate, running) = start(Box::new(Program::new(command)), "a program").expect("it starts");
         let (first, state) = next(&mut gate, 1);
         assert_eq!((first.len(), state), (1, WorkerState::Running));
         gate.send(Packet::from(*b"over\n"));
@@ -401,7 +401,7 @@ mod tests {
         // It ends at its first start, and never at another.
         let script = format!("echo $$ >> {0}; [ $(wc -l < {0}) = 1 ] || exec tail -f /dev/null", file.display());
         let command = ["sh", "-c", &script].map(str::to_owned).to_vec();
-        let (mut gate, running) = start(Box::new(Program::new(command)), "a program").unwrap();
+        let (mut gate, running) = start(Box::new(Program::new(command)), "a program").expect("it starts");
         assert_eq!(next(&mut gate, 1), (vec![], WorkerState::Restarted));
         drop(gate);
         assert!(running.join(HANGS), "it ends");
@@ -413,7 +413,7 @@ mod tests {
         let folder = tempfile::TempDir::new().unwrap();
         let file = folder.path().join("late");
         let command = vec![file.display().to_string()];
-        let (mut gate, running) = start(Box::new(Program::new(command)), "a program").unwrap();
+        let (mut gate, running) = start(Box::new(Program::new(command)), "a program").expect("it starts");
         assert_eq!(next(&mut gate, 1), (vec![], WorkerState::Restarted));
         let other = folder.path().join("new");
         fs::write(&other, "#!/bin/sh\necho here\nread -r line\n").unwrap();
@@ -449,7 +449,7 @@ mod tests {
     #[test]
     fn a_program_that_is_halted_is_killed_and_started_again_without_what_has_waited() {
         let command = ["sh", "-c", "echo $$; while read -r line; do echo \"$line\"; done"].map(str::to_owned).to_vec();
-        let (mut gate, running) = start(Box::new(Program::new(command)), "a program").unwrap();
+        let (mut gate, running) = start(Box::new(Program::new(command)), "a program").expect("it starts");
         let number = |packet: &Packet| Pid::from_raw(String::from_utf8_lossy(packet).trim().parse().unwrap());
         let halted = number(&next(&mut gate, 1).0[0]);
         gate.send(Packet::from(*b"drive\n"));
@@ -484,7 +484,7 @@ mod tests {
     #[test]
     fn a_program_that_never_reads_costs_what_has_no_room_and_ends_with_its_host() {
         let command = ["sh", "-c", "echo up; exec tail -f /dev/null"].map(str::to_owned).to_vec();
-        let (mut gate, running) = start(Box::new(Program::new(command)), "a program").unwrap();
+        let (mut gate, running) = start(Box::new(Program::new(command)), "a program").expect("it starts");
         assert_eq!(next(&mut gate, 1), (vec![Packet::from(*b"up\n")], WorkerState::Running));
         let mut sent = 0;
         // More than its mailbox and a pipe of 64 KiB hold.

@@ -5,10 +5,10 @@ use std::f64::consts::{PI, TAU};
 
 use serde::Deserialize;
 
-use super::paced::{Measure, Pace, within};
+use super::paced::{Measure, Pace};
 use super::rays::{Disc, MAX_RAYS, Rays};
 use super::{Layout, Parts, Site, WHOLE_RAD};
-use crate::config::ConfigError;
+use crate::config::{ConfigError, in_range};
 use crate::edge::Settings;
 use crate::messages::geometry::{Vec2, rotated};
 use crate::messages::ids::RobotId;
@@ -66,18 +66,18 @@ fn yes() -> bool {
 impl Config {
     /// Checks the ranges of all settings. An error names the first wrong one.
     fn check(&self) -> Result<(), ConfigError> {
-        within("rays", self.rays as f64, 1.0, MAX_RAYS as f64)?;
-        within("range_m", self.range_m.into(), 0.01, 1000.0)?;
-        within("from_rad", self.from_rad, -TAU, TAU)?;
+        in_range("rays", self.rays as f64, (1.0, MAX_RAYS as f64))?;
+        in_range("range_m", self.range_m.into(), (0.01, 1000.0))?;
+        in_range("from_rad", self.from_rad, (-TAU, TAU))?;
         if let Some(opening) = self.opening_rad {
-            within("opening_rad", opening, 0.001, TAU + WHOLE_RAD)?;
+            in_range("opening_rad", opening, (0.001, TAU + WHOLE_RAD))?;
         }
         for ahead_or_left in self.mount_m {
-            within("mount_m", ahead_or_left.into(), -10.0, 10.0)?;
+            in_range("mount_m", ahead_or_left.into(), (-10.0, 10.0))?;
         }
         self.pace().check()?;
-        within("noise_m", self.noise_m.into(), 0.0, 10.0)?;
-        within("dropouts", self.dropouts.into(), 0.0, 1.0)
+        in_range("noise_m", self.noise_m.into(), (0.0, 10.0))?;
+        in_range("dropouts", self.dropouts.into(), (0.0, 1.0))
     }
 
     fn pace(&self) -> Pace {

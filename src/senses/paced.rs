@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use super::{In, Out, Sense};
-use crate::config::ConfigError;
+use crate::config::{ConfigError, in_range};
 use crate::messages::local::Scene;
 use crate::time::{Span, Time};
 
@@ -19,21 +19,13 @@ pub(super) struct Pace {
     pub delay_s: f64,
 }
 
-/// Returns an error about `field` unless its `value` is `least` to `most`.
-pub(super) fn within(field: &str, value: f64, least: f64, most: f64) -> Result<(), ConfigError> {
-    match (least..=most).contains(&value) {
-        true => Ok(()),
-        false => Err(ConfigError::field(field, format!("{value} is not {least} to {most}"))),
-    }
-}
-
 impl Pace {
     /// Checks the ranges of the settings. An error names the first wrong one.
     pub fn check(&self) -> Result<(), ConfigError> {
         if let Some(rate) = self.rate_hz {
-            within("rate_hz", rate, 0.1, 1000.0)?;
+            in_range("rate_hz", rate, (0.1, 1000.0))?;
         }
-        within("delay_s", self.delay_s, 0.0, 2.0)
+        in_range("delay_s", self.delay_s, (0.0, 2.0))
     }
 }
 

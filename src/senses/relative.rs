@@ -5,9 +5,9 @@ use std::f64::consts::{PI, TAU};
 
 use serde::Deserialize;
 
-use super::paced::{Measure, Pace, within};
+use super::paced::{Measure, Pace};
 use super::{Layout, Parts, Site};
-use crate::config::ConfigError;
+use crate::config::{ConfigError, in_range};
 use crate::edge::Settings;
 use crate::messages::geometry::{Vec2, wrapped};
 use crate::messages::ids::RobotId;
@@ -62,17 +62,17 @@ struct Config {
 impl Config {
     /// Checks the ranges of all settings. An error names the first wrong one.
     fn check(&self) -> Result<(), ConfigError> {
-        within("most", self.most as f64, 1.0, MOST as f64)?;
-        within("range_m", self.range_m.into(), 0.01, 1000.0)?;
+        in_range("most", self.most as f64, (1.0, MOST as f64))?;
+        in_range("range_m", self.range_m.into(), (0.01, 1000.0))?;
         if let Some(opening) = self.opening_rad {
-            within("opening_rad", opening, 0.001, TAU)?;
+            in_range("opening_rad", opening, (0.001, TAU))?;
         }
         self.pace().check()?;
-        within("distance_noise_m", self.distance_noise_m.into(), 0.0, 10.0)?;
-        within("bearing_noise_rad", self.bearing_noise_rad.into(), 0.0, PI)?;
-        within("heading_noise_rad", self.heading_noise_rad.into(), 0.0, PI)?;
-        within("misses", self.misses.into(), 0.0, 1.0)?;
-        within("false_ones", self.false_ones.into(), 0.0, 1.0)
+        in_range("distance_noise_m", self.distance_noise_m.into(), (0.0, 10.0))?;
+        in_range("bearing_noise_rad", self.bearing_noise_rad.into(), (0.0, PI))?;
+        in_range("heading_noise_rad", self.heading_noise_rad.into(), (0.0, PI))?;
+        in_range("misses", self.misses.into(), (0.0, 1.0))?;
+        in_range("false_ones", self.false_ones.into(), (0.0, 1.0))
     }
 
     fn pace(&self) -> Pace {

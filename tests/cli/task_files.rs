@@ -14,6 +14,10 @@ fn file(folder: &TempDir, name: &str, content: &str) -> String {
     path.to_str().expect("its path is text").to_owned()
 }
 
+fn path(of: &std::path::Path) -> &str {
+    of.to_str().expect("its path is text")
+}
+
 fn json(output: &std::process::Output) -> Value {
     serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{}", text(&output.stderr)))
 }
@@ -22,7 +26,7 @@ fn json(output: &std::process::Output) -> Value {
 fn a_task_is_checked_and_what_cannot_work_is_named() {
     let folder = TempDir::new().expect("a temporary folder");
     let svg = folder.path().join("rooms.svg");
-    let output = run(&["task", "check", FOUR_ROOMS, "--json", "--layouts", "8", "--svg", svg.to_str().unwrap()]);
+    let output = run(&["task", "check", FOUR_ROOMS, "--json", "--layouts", "8", "--svg", path(&svg)]);
     let checked = json(&output);
     assert!(output.status.success(), "{checked}");
     assert_eq!((&checked["name"], &checked["doors"], &checked["walls"]), (&"four-rooms".into(), &4.into(), &7.into()));
@@ -59,9 +63,9 @@ fn a_record_of_a_task_file_is_replayed_without_the_file() {
     run_in(&[&sim[..], &few].concat());
     // Another task is there now.
     std::fs::write(&task, TEXT.replace("[2.0, -0.15, 3.0, 0.15]", "[2.1, -0.15, 3.0, 0.15]")).expect("it is written");
-    let said = run_in(&["replay", records.join("repeat-0000.mcap").to_str().unwrap()]);
+    let said = run_in(&["replay", path(&records.join("repeat-0000.mcap"))]);
     std::fs::remove_file(&task).expect("it is there");
-    let again = run_in(&["replay", records.join("repeat-0000.mcap").to_str().unwrap()]);
+    let again = run_in(&["replay", path(&records.join("repeat-0000.mcap"))]);
     assert_eq!(said, again);
 }
 
@@ -75,8 +79,8 @@ fn names_of_scenarios_are_refused_with_a_hint_and_a_team_file_names_a_task_besid
     file(&folder, "rooms.toml", TEXT);
     let team = "team = 1\nmode = \"offboard\"\nscenario = \"rooms.toml\"\npolicy = \"orca\"\n[link.loopback]\n\
                 interface = \"lo\"\n[link.infra]\ninterface = \"lo\"\n";
-    let path = file(&folder, "team.toml", team);
-    let output = run(&["config", "check", &path]);
+    let team_file = file(&folder, "team.toml", team);
+    let output = run(&["config", "check", &team_file]);
     assert!(output.status.success(), "{}", text(&output.stderr));
     let wrong = file(&folder, "wrong.toml", &team.replace("rooms.toml", "room.toml"));
     refuses(&["config", "check", &wrong], &["scenario (line 3): ", "room.toml"]);
@@ -89,13 +93,13 @@ fn a_training_keeps_its_task_and_a_changed_file_does_not_continue_it() {
     let out = folder.path().join("run");
     let args = ["train", &task, "--robots", "4", "--preset", "any-size", "--steps", "200", "--quiet", "--out"];
     let small = ["--set", "ppo.environments=4", "--set", "ppo.minibatch=32"];
-    let args = [&args[..], &[out.to_str().unwrap()], &small].concat();
+    let args = [&args[..], &[path(&out)], &small].concat();
     let output = run(&args);
     assert!(output.status.success(), "{}", text(&output.stderr));
     let config = std::fs::read_to_string(out.join("config.toml")).expect("it is there");
     assert!(config.contains("arrival = 5.0") && config.contains("wall = 8.0"), "{config}");
     let policy = out.join("policy.safetensors");
-    let policy = policy.to_str().unwrap();
+    let policy = path(&policy);
     refuses(&["policy", "check", policy], &["'four-rooms'", "--scenario"]);
     assert!(run(&["policy", "check", policy, "--scenario", &task]).status.success());
     let sim = ["sim", "--scenario", &task, "--robots", "4", "--policy", policy, "--episodes", "1", "--repeats", "1"];

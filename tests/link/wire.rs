@@ -89,6 +89,15 @@ fn part() -> impl Strategy<Value = Wire> {
     })
 }
 
+fn beat() -> impl Strategy<Value = Wire> {
+    let beat = (robot(), round(), phase(), latch(), any::<(u16, u32, u32)>());
+    beat.prop_map(|(robot, round, phase, latch, (revision, policy, task))| {
+        // It is sent with a policy alone.
+        let task = if policy == 0 { 0 } else { task };
+        Wire::Heartbeat(Heartbeat { revision, policy, task, ..Heartbeat::new(robot, round, phase, latch) })
+    })
+}
+
 fn message() -> impl Strategy<Value = Wire> {
     let deviation = [0; 4].map(|_| prop::option::of(0f32..1e5));
     let deviation = deviation.prop_map(|[position_m, heading_rad, velocity_m_s, yaw_rate_rad_s]| Deviation {
@@ -109,12 +118,6 @@ fn message() -> impl Strategy<Value = Wire> {
     });
     let command = (robot(), motion(), 0..=MAX_VALIDITY.as_nanos()).prop_map(|(robot, motion, ns)| {
         Wire::MotorCommand(MotorCommand { robot, velocity: motion.velocity, valid_for: Span::from_nanos(ns) })
-    });
-    let beat = (robot(), round(), phase(), latch(), any::<(u16, u32, u32)>());
-    let beat = beat.prop_map(|(robot, round, phase, latch, (revision, policy, task))| {
-        // It is sent with a policy alone.
-        let task = if policy == 0 { 0 } else { task };
-        Wire::Heartbeat(Heartbeat { revision, policy, task, ..Heartbeat::new(robot, round, phase, latch) })
     });
     let tasks = prop::collection::vec(motion(), 1..=MAX_BLOCK);
     let mode = (round(), any::<u32>(), phase(), 0u16..1000, tasks, latch());
@@ -159,7 +162,7 @@ fn message() -> impl Strategy<Value = Wire> {
     });
     let (place, located) = placements();
     let (measured, said) = (prop_oneof![reading, sensed()], prop_oneof![latent, part()]);
-    prop_oneof![measured, said, command, beat, mode, stop, status, observe, telemetry, place, located, release()]
+    prop_oneof![measured, said, command, beat(), mode, stop, status, observe, telemetry, place, located, release()]
 }
 
 /// Returns values of senses, of which some are no echoes.

@@ -304,7 +304,7 @@ impl Policy for Robot {
         self.engines[0].is_joint()
     }
 
-    // An input that is not finite is refused once more, and named, when the call itself is made.
+    // Without a waiting call the step makes its inputs itself, and fails by the one that is not finite.
     fn prepare_encode(&mut self, own: &Observation) {
         if !self.is_one_graph() && self.fill(0, own, &[], &[]).is_ok() {
             self.engines[0].ask(self.robot, &self.arrays[0]);

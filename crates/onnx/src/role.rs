@@ -1,7 +1,7 @@
 //! Parts of a step of a policy, each of which a graph computes.
 
 /// Part of a step that a graph of a policy computes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {
     /// A whole step: action, message and next state, from the observation, what was heard, and the state.
     Step,

@@ -153,13 +153,13 @@ mod tests {
     #[test]
     fn the_door_of_the_passage_is_the_one_that_its_author_wrote() {
         for gap_m in [None, Some(0.6), Some(1.1)] {
-            let passage = build("passage", &Settings { gap_m, ..Settings::default() }).unwrap();
+            let passage = build("passage", &Settings { gap_m, ..Settings::default() }).expect("it is there");
             let found = portals(passage.arena());
             let [Portal { near, far }] = found[..] else { panic!("{found:?}") };
             let written = passage.arena().portals[0];
             assert!((near - written.near).norm() < 1e-6 && (far - written.far).norm() < 1e-6, "{found:?}");
         }
-        let wide = build("passage", &Settings { gap_m: Some(1.5), ..Settings::default() }).unwrap();
+        let wide = build("passage", &Settings { gap_m: Some(1.5), ..Settings::default() }).expect("it is there");
         assert_eq!(portals(wide.arena()), []);
     }
 

@@ -2,7 +2,7 @@
 
 use serde::Deserialize;
 
-use crate::config::{self, ConfigError};
+use crate::config::{self, ConfigError, in_range};
 use crate::scenario::Weights;
 
 /// Longest text of a task file \[bytes\]; files that people write have a few thousand.
@@ -154,27 +154,27 @@ impl Fields {
         }
         self.check_robots()?;
         for (axis, half_m) in self.half_extent_m.into_iter().enumerate() {
-            within(&format!("half_extent_m[{axis}]"), half_m, (SMALLEST_M, FARTHEST_M))?;
+            in_range(&format!("half_extent_m[{axis}]"), half_m, (SMALLEST_M, FARTHEST_M))?;
         }
-        within("hull_m", self.hull_m, crate::scenario::size::HULLS_M)?;
+        in_range("hull_m", self.hull_m, crate::scenario::size::HULLS_M)?;
         self.check_blocks()?;
         self.check_areas()?;
-        within("rules.arrival_m", self.rules.arrival_m, (SMALLEST_M, FARTHEST_M))?;
-        within("rules.limit_s", self.rules.limit_s, LIMITS_S)?;
+        in_range("rules.arrival_m", self.rules.arrival_m, (SMALLEST_M, FARTHEST_M))?;
+        in_range("rules.limit_s", self.rules.limit_s, LIMITS_S)?;
         if let Some(separation_m) = self.rules.separation_m {
-            within("rules.separation_m", separation_m, (SMALLEST_M, FARTHEST_M))?;
+            in_range("rules.separation_m", separation_m, (SMALLEST_M, FARTHEST_M))?;
         }
         for (term, weight) in self.reward.given() {
-            within(&format!("reward.{term}"), weight, (0.0, LARGEST_WEIGHT))?;
+            in_range(&format!("reward.{term}"), weight, (0.0, LARGEST_WEIGHT))?;
         }
-        within("scripted_success", self.scripted_success, (0.0, 1.0))
+        in_range("scripted_success", self.scripted_success, (0.0, 1.0))
     }
 
     fn check_robots(&self) -> Result<(), ConfigError> {
         let Robots { default, least, most } = self.robots;
-        within("robots.least", least, (1, MOST_ROBOTS))?;
-        within("robots.most", most, (least, MOST_ROBOTS))?;
-        within("robots.default", default, (least, most))
+        in_range("robots.least", least, (1, MOST_ROBOTS))?;
+        in_range("robots.most", most, (least, MOST_ROBOTS))?;
+        in_range("robots.default", default, (least, most))
     }
 
     fn check_blocks(&self) -> Result<(), ConfigError> {
@@ -195,11 +195,11 @@ impl Fields {
         }
         for (at, Obstacles { count, size_m, within: bounds, .. }) in self.obstacles.iter().enumerate() {
             let field = format!("obstacles[{at}]");
-            within(&format!("{field}.count"), *count, (1, MOST_BLOCKS))?;
+            in_range(&format!("{field}.count"), *count, (1, MOST_BLOCKS))?;
             check_rect(&format!("{field}.within"), *bounds)?;
             for axis in 0..2 {
                 let room_m = bounds[axis + 2] - bounds[axis];
-                within(&format!("{field}.size_m[{axis}]"), size_m[axis], (SMALLEST_M, room_m))?;
+                in_range(&format!("{field}.size_m[{axis}]"), size_m[axis], (SMALLEST_M, room_m))?;
             }
         }
         Ok(())
@@ -247,9 +247,9 @@ impl Shape {
             Shape::Rect(rect) => check_rect(&format!("{field}.rect"), *rect),
             Shape::Disc([x, y, radius_m]) => {
                 for (at, coordinate) in [x, y].into_iter().enumerate() {
-                    within(&format!("{field}.disc[{at}]"), *coordinate, (-FARTHEST_M, FARTHEST_M))?;
+                    in_range(&format!("{field}.disc[{at}]"), *coordinate, (-FARTHEST_M, FARTHEST_M))?;
                 }
-                within(&format!("{field}.disc[2]"), *radius_m, (SMALLEST_M, FARTHEST_M))
+                in_range(&format!("{field}.disc[2]"), *radius_m, (SMALLEST_M, FARTHEST_M))
             }
             Shape::Points(points) => {
                 within_count(&format!("{field}.points"), points.len(), 1)?;
@@ -262,7 +262,7 @@ impl Shape {
 fn check_points(field: &str, points: &[[f32; 2]]) -> Result<(), ConfigError> {
     for (at, point) in points.iter().enumerate() {
         for (axis, coordinate) in point.iter().enumerate() {
-            within(&format!("{field}[{at}][{axis}]"), *coordinate, (-FARTHEST_M, FARTHEST_M))?;
+            in_range(&format!("{field}[{at}][{axis}]"), *coordinate, (-FARTHEST_M, FARTHEST_M))?;
         }
     }
     Ok(())
@@ -270,7 +270,7 @@ fn check_points(field: &str, points: &[[f32; 2]]) -> Result<(), ConfigError> {
 
 fn check_rect(field: &str, rect: [f32; 4]) -> Result<(), ConfigError> {
     for (at, coordinate) in rect.into_iter().enumerate() {
-        within(&format!("{field}[{at}]"), coordinate, (-FARTHEST_M, FARTHEST_M))?;
+        in_range(&format!("{field}[{at}]"), coordinate, (-FARTHEST_M, FARTHEST_M))?;
     }
     for (axis, name) in ["x", "y"].into_iter().enumerate() {
         if rect[axis + 2] - rect[axis] < SMALLEST_M {
@@ -279,14 +279,6 @@ fn check_rect(field: &str, rect: [f32; 4]) -> Result<(), ConfigError> {
         }
     }
     Ok(())
-}
-
-/// Checks a value against the smallest and the largest that there may be.
-fn within<T: PartialOrd + std::fmt::Display>(field: &str, value: T, (least, most): (T, T)) -> Result<(), ConfigError> {
-    if (&least..=&most).contains(&&value) {
-        return Ok(());
-    }
-    Err(ConfigError::field(field, format!("{value} is not {least} to {most}")))
 }
 
 fn within_count(field: &str, count: usize, least: usize) -> Result<(), ConfigError> {

@@ -112,7 +112,7 @@ mod tests {
 
     #[test]
     fn lengths_lead_through_the_door_without_jumps_and_end_at_zero() {
-        let passage = build("passage", &Settings::default()).unwrap();
+        let passage = build("passage", &Settings::default()).expect("it is there");
         let ways = Ways::new(passage.arena());
         let goal = Vec2::new(1.2, -1.7);
         let path = [Vec2::new(1.5, 1.7), Vec2::new(0.3, 0.45), Vec2::new(0.3, -0.45), goal];

@@ -4,6 +4,7 @@
 mod child;
 mod link;
 
+use std::collections::BTreeMap;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -56,7 +57,7 @@ struct Session {
     program: Arc<Program>,
     link: Mutex<Link>,
     /// Calls of each role that wait to be made together.
-    waiting: Mutex<Vec<(Role, Joint)>>,
+    waiting: Mutex<BTreeMap<Role, Joint>>,
 }
 
 impl Drop for Session {
@@ -230,14 +231,7 @@ impl Session {
 
     /// Calls `with` with the calls of a role that wait.
     fn waiting<T>(&self, role: Role, with: impl FnOnce(&mut Joint) -> T) -> T {
-        let mut all = locked(&self.waiting);
-        if let Some((_, joint)) = all.iter_mut().find(|(of, _)| *of == role) {
-            return with(joint);
-        }
-        let mut joint = Joint::default();
-        let result = with(&mut joint);
-        all.push((role, joint));
-        result
+        with(locked(&self.waiting).entry(role).or_default())
     }
 
     fn reset(&self, robot: RobotId, seed: u64) {
