@@ -434,6 +434,7 @@ impl Record {
             walls: Vec::new(),
             hull_m: 0.2,
             range_m: None,
+            drawn: Vec::new(),
             senses: Vec::new(),
         };
         let beginning = Beginning { identity: Identity::here("1f", Vec::new(), ""), attached: Vec::new() };

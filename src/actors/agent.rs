@@ -24,6 +24,7 @@ use crate::messages::round::RoundFollower;
 use crate::messages::wire::{Features, Latent, Mode, Phase, Round};
 use crate::observation::Observation;
 use crate::scenario::Scenario;
+use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 
 /// Largest distance between a robot and its start at which the robot counts as ready for the episode \[m\].
@@ -66,6 +67,8 @@ pub struct Agent {
     slots: Vec<Slot>,
     /// Whether policies under test compute the steps of several robots together.
     joint: bool,
+    /// Arenas of the episodes, where these differ.
+    layouts: Layouts,
     /// Tasks of all robots of the team that the Agent was told, in the order of their ids.
     team: Vec<Option<Task>>,
     rounds: RoundFollower,
@@ -99,6 +102,7 @@ impl Agent {
         Agent {
             team: vec![None; scenario.robots()],
             scenario,
+            layouts: Layouts::default(),
             max_wait,
             joint: robots.len() > 1 && robots.iter().any(|policies| policies.run.is_joint()),
             missing: robots.len(),
@@ -117,6 +121,11 @@ impl Agent {
         }
     }
 
+    /// Returns the Agent with the layouts of the trial: its policies get the arena of each episode.
+    pub fn with_layouts(self, layouts: Layouts) -> Agent {
+        Agent { layouts, ..self }
+    }
+
     fn follow(&mut self, now: Time, mode: &Mode) {
         if !self.rounds.admits(mode.round) {
             return;
@@ -126,6 +135,9 @@ impl Agent {
             self.slots.iter_mut().for_each(|slot| slot.task = None);
             self.team.fill(None);
             self.began = now;
+            if let Some(arena) = self.layouts.arena(mode.round.episode) {
+                self.slots.iter_mut().for_each(|slot| slot.policies.enter(arena));
+            }
         }
         let ran = self.phase == Phase::Running && mode.round == self.round;
         if mode.phase == Phase::Running && !ran {
@@ -401,6 +413,7 @@ mod tests {
             robot: RobotId(robot),
             dynamics: Dynamics::default(),
             range: CommRange::fixed(2.0),
+            point_ahead_m: 0.0,
             every: 1,
             channels: Bound::default(),
             run: Box::new(Counting),
@@ -658,10 +671,21 @@ mod tests {
             let (run, channels) = make();
             let stream = || Seed::of_run(0).stream("agent");
             let (robot, task, reset) = (slot.policies.robot, slot.task, Box::new(Counting));
-            let RobotPolicies { range, every, .. } = slot.policies;
+            let RobotPolicies { range, point_ahead_m, every, .. } = slot.policies;
             let (dynamics, actions, resets, ranges) = (Dynamics::default(), stream(), stream(), stream());
-            let policies =
-                RobotPolicies { robot, dynamics, range, every, channels, run, reset, actions, resets, ranges };
+            let policies = RobotPolicies {
+                robot,
+                dynamics,
+                range,
+                point_ahead_m,
+                every,
+                channels,
+                run,
+                reset,
+                actions,
+                resets,
+                ranges,
+            };
             *slot = Slot::new(policies);
             slot.task = task;
         }
@@ -788,6 +812,7 @@ mod tests {
             robot,
             dynamics: Dynamics::default(),
             range,
+            point_ahead_m: 0.0,
             every: 3,
             channels: Bound::default(),
             run: Box::new(Slow(Remembering { steps: 0.0, said: [0.0] })),

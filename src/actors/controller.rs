@@ -14,6 +14,7 @@ use crate::messages::wire::{Heartbeat, Marks, Mode, MotorCommand, Phase, Stop};
 use crate::safety::filter;
 use crate::safety::guard::{Decision, Granted, Guard, SafetyCounts};
 use crate::safety::hardware::Permit;
+use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 
 /// Period at which a robot sends heartbeats (reports to the state server).
@@ -76,6 +77,8 @@ pub struct Config {
 pub struct Controller {
     config: Config,
     guard: Guard,
+    /// Arenas of the episodes, where these differ.
+    layouts: Layouts,
     round: RoundFollower,
     /// Phase of the team in the last instruction.
     team: Phase,
@@ -94,6 +97,7 @@ impl Controller {
         let next_heartbeat = Time::ZERO + config.phase;
         Controller {
             guard: Guard::new(config.guard.clone()).with_signed_orders(config.signed),
+            layouts: Layouts::default(),
             round: RoundFollower::default(),
             team: Phase::NeedReset,
             own: Phase::NeedReset,
@@ -102,6 +106,11 @@ impl Controller {
             next_heartbeat,
             config,
         }
+    }
+
+    /// Returns the Controller with the layouts of the trial: its guard keeps the robot from the obstacles of each episode.
+    pub fn with_layouts(self, layouts: Layouts) -> Controller {
+        Controller { layouts, ..self }
     }
 
     fn follow(&mut self, now: Time, mode: &Mode, out: &mut Vec<Out>) {
@@ -120,6 +129,9 @@ impl Controller {
             return;
         }
         self.guard.new_instruction();
+        if let Some(arena) = self.layouts.arena(mode.round.episode) {
+            self.guard.enter(arena.keep_outs.as_slice().into());
+        }
         self.round.follow(mode.round);
         self.team = mode.phase;
         self.own = match mode.phase {

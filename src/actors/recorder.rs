@@ -94,7 +94,7 @@ pub(crate) struct Config {
     pub(crate) judged: Judged,
     /// Whether robots are placed at their starts before an episode (`true`) or drive there (`false`).
     pub(crate) placed: bool,
-    /// Ground and walls of the scenario.
+    /// Ground and walls of the scenario, for episodes that have no arena of their own.
     pub arena: Arena,
     /// Distance between a robot's centre and a wall below which the robot touches the wall \[m\]. Used only where
     /// readings are judged.
@@ -336,7 +336,8 @@ impl Recorder {
     fn take_reading(&mut self, now: Time, reading: &Reading, out: &mut Vec<Out>) {
         let centre = self.config.chassis[reading.robot.index()].centre(reading);
         let Some(Sighting { at, robots, lapsed }) = self.sightings.see(now, reading, centre) else { return };
-        let (arena, radius_m) = (&self.config.arena, self.config.wall_radius_m);
+        let arena = self.config.layouts.arena(self.round.episode).map_or(&self.config.arena, |arena| &**arena);
+        let radius_m = self.config.wall_radius_m;
         let seen = |(robot, Spot { centre, point, velocity }): (RobotId, Spot)| {
             let contacts = Contacts { wall: arena.clearance(centre) <= radius_m, robot: false };
             (robot, JudgedRobot { position: centre, point, velocity, contacts })

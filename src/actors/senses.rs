@@ -6,6 +6,7 @@ use crate::actor::Core;
 use crate::messages::ids::RobotId;
 use crate::messages::local::Scene;
 use crate::messages::wire::Sensed;
+use crate::scenario::layout::Layouts;
 use crate::senses::{self, Sense};
 use crate::time::Time;
 
@@ -37,12 +38,28 @@ pub struct Senses {
     /// Number of inputs or values that were refused, by the place of the sense and by reason.
     refused: BTreeMap<(usize, &'static str), u64>,
     outputs: Vec<senses::Out>,
+    /// Arenas of the episodes, where these differ, and the episode whose arena the senses have.
+    layouts: Layouts,
+    entered: Option<u32>,
 }
 
 impl Senses {
     /// Creates the actor of a robot with these senses, in the order of their names.
     pub fn new(robot: RobotId, senses: Vec<Named>) -> Senses {
-        Senses { robot, senses, refused: BTreeMap::new(), outputs: Vec::new() }
+        let (refused, outputs) = (BTreeMap::new(), Vec::new());
+        Senses { robot, senses, refused, outputs, layouts: Layouts::default(), entered: None }
+    }
+
+    /// Returns the actor with the layouts of the trial: its senses perceive the obstacles of each episode.
+    pub fn with_layouts(self, layouts: Layouts) -> Senses {
+        Senses { layouts, ..self }
+    }
+
+    /// Gives the senses the arena of an episode, if it is another one than before.
+    fn enter(&mut self, episode: u32) {
+        let Some(arena) = self.layouts.arena(episode).filter(|_| self.entered != Some(episode)) else { return };
+        self.senses.iter_mut().for_each(|named| named.sense.enter(arena));
+        self.entered = Some(episode);
     }
 
     /// Publishes what the sense at this place has put out.
@@ -85,6 +102,7 @@ impl Core for Senses {
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Sensed>) {
         match input {
             In::Scene(scene) => {
+                self.enter(scene.episode);
                 for index in 0..self.senses.len() {
                     self.senses[index].sense.take(now, senses::In::Scene(&scene), &mut self.outputs);
                     self.forward(index, out);

@@ -19,6 +19,7 @@ use crate::messages::ids::RobotId;
 use crate::messages::local::{Drive, Sample, Scene, Standing, Truth};
 use crate::messages::wire::{Mode, Phase, Reading, Round};
 use crate::scenario::Scenario;
+use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 use crate::world::{Placement, Plant, PlantState};
 
@@ -62,13 +63,21 @@ pub struct PersistentPlant {
     last_mode: (Round, Phase),
     /// Episode from which on robots are placed, because the reset before it has failed.
     repair_from: Option<u32>,
+    /// Episode whose obstacles are in the plant; `None` before the first, or if all episodes have one arena.
+    entered: Option<u32>,
 }
 
 impl PersistentPlant {
     /// Wraps a plant in which no robot was placed at a start yet.
     pub fn new(plant: Box<dyn Plant>) -> PersistentPlant {
         let placed = vec![Round::default(); plant.states().len()];
-        PersistentPlant { plant, placed, last_mode: (Round::default(), Phase::NeedReset), repair_from: None }
+        PersistentPlant {
+            plant,
+            placed,
+            last_mode: (Round::default(), Phase::NeedReset),
+            repair_from: None,
+            entered: None,
+        }
     }
 }
 
@@ -84,6 +93,8 @@ pub struct World {
     placed_at: Option<Time>,
     /// Whether its robots have senses, which take scenes.
     senses: bool,
+    /// Arenas of the episodes, where these differ.
+    layouts: Layouts,
 }
 
 /// Robot that the World simulates, with its last command and the command's expiry.
@@ -151,7 +162,13 @@ impl World {
             next: Time::ZERO,
             placed_at: None,
             senses: false,
+            layouts: Layouts::default(),
         }
+    }
+
+    /// Returns the World with the layouts of the trial: its plant has the obstacles of each episode.
+    pub fn with_layouts(self, layouts: Layouts) -> World {
+        World { layouts, ..self }
     }
 
     /// Returns the World with scenes for the senses of its robots, if `senses` says that they have any.
@@ -170,7 +187,7 @@ impl World {
         };
         let mut robots: Vec<Standing> = ids.zip(persistent.plant.states()).map(standing).collect();
         robots.sort_by_key(|standing| standing.robot);
-        Scene { time: now, placed, robots: robots.into() }
+        Scene { time: now, placed, episode: persistent.last_mode.0.episode, robots: robots.into() }
     }
 
     /// Returns whether the World places robots at their starts for the instruction `mode`, and stores the instruction's
@@ -185,6 +202,35 @@ impl World {
         match self.placement {
             Placement::Exact => mode.phase == Phase::Running,
             Placement::Drive => mode.phase == Phase::Resetting && persistent.repair_from == Some(mode.round.episode),
+        }
+    }
+
+    /// Puts the obstacles of the instruction's episode into the plant, if they are others than before. Returns the
+    /// indices of the simulated robots that are within them.
+    fn enter(&mut self, mode: &Mode) -> Vec<usize> {
+        let mut persistent = self.persistent.borrow_mut();
+        let episode = mode.round.episode;
+        let Some(arena) = self.layouts.arena(episode).filter(|_| persistent.entered != Some(episode)) else {
+            return Vec::new();
+        };
+        persistent.entered = Some(episode);
+        assert!(persistent.plant.enter(arena), "the trial was checked: its plant takes the obstacles of episodes");
+        let states = self.bodies.iter().zip(persistent.plant.states()).enumerate();
+        let within = |state: &PlantState| arena.clearance(state.motion.position) <= arena.robot_radius_m;
+        states.filter(|(_, (_, state))| within(state)).map(|(index, _)| index).collect()
+    }
+
+    /// Places robots at their starts, out of the obstacles that were put where they stood, as people would who set
+    /// obstacles up.
+    fn free(&mut self, now: Time, mode: &Mode, caught: &[usize], out: &mut Vec<Out>) {
+        let mut persistent = self.persistent.borrow_mut();
+        for &index in caught {
+            let body = &mut self.bodies[index];
+            let task = self.layouts.episode(mode.round.episode)[body.robot.index()];
+            persistent.plant.place(index, task.start, task.heading());
+            (body.command, body.until) = (Vec2::zeros(), now);
+            self.placed_at = Some(now);
+            out.push(Out::Sample(sample(now, body, &persistent.plant.states()[index])));
         }
     }
 
@@ -241,8 +287,12 @@ impl Core for World {
                 }
             }
             In::Mode(mode) => {
-                if self.is_to_place(&mode) {
+                let places = self.is_to_place(&mode);
+                let caught = self.enter(&mode);
+                if places {
                     self.place(now, &mode, out);
+                } else if !caught.is_empty() {
+                    self.free(now, &mode, &caught, out);
                 }
             }
         }
@@ -286,7 +336,7 @@ mod tests {
     use crate::messages::geometry::Task;
     use crate::messages::latch::Latch;
     use crate::random::Seed;
-    use crate::scenario::{Settings, build};
+    use crate::scenario::{Settings, TaskFile, build};
     use crate::world::{Physics, kinematic};
 
     fn world(placement: Placement) -> World {
@@ -360,6 +410,35 @@ mod tests {
         let seen = world.others[0].motion(at_ms(50 * 199 + 1000)).unwrap().0;
         let age = MOVED_ON.as_secs() as f32;
         assert_eq!(seen, Motion::at_rest(wall.position + wall.velocity * age), "silent, it stands");
+    }
+
+    #[test]
+    fn a_robot_that_stands_where_an_obstacle_is_put_is_placed_at_its_start() {
+        let text = "name = \"field\"\nrobots = { default = 2, least = 2, most = 2 }\nhalf_extent_m = [3.0, 3.0]\n\
+                    obstacles = [{ count = 6, size_m = [0.6, 0.6], within = [-3, -3, 3, 3], each_episode = true }]\n\
+                    area = { rect = [-3, -3, 3, 3] }\nrules = { arrival_m = 0.25, limit_s = 40.0 }";
+        let field = TaskFile::read(text).expect("it is sound").scenario(&Settings::default()).expect("it is sound");
+        let layouts = Layouts::of_scenario(&*field, 5, 2);
+        let blocks = &layouts.arena(1).expect("it has one").keep_outs;
+        let caught = (blocks[0].min + blocks[0].max) / 2.0;
+        let tasks = layouts.episode(1);
+        let physics = Physics::published(field.arena());
+        let plant = kinematic::build(field.arena(), &physics, &[caught, tasks[1].start], Seed::of_run(0));
+        let plant = Rc::new(RefCell::new(PersistentPlant::new(plant)));
+        let robots = [RobotId(0), RobotId(1)];
+        let mut world = World::new(plant, Arc::clone(&field), Placement::Drive, &robots, &[]);
+        world = world.with_layouts(layouts.clone());
+        let round = Round { term: 1, episode: 1 };
+        let (phase, first, latch) = (Phase::Resetting, RobotId(1), Latch::default());
+        // An instruction that has the task of the other robot alone.
+        let mode = Mode { round, repeat: 0, phase, first, tasks: tasks[1..].into(), latch };
+        let mut out = Vec::new();
+        world.handle(at_ms(50), In::Mode(mode.clone()), &mut out);
+        let [Out::Sample(moved)] = &out[..] else { panic!("one robot is moved: {out:?}") };
+        assert_eq!((moved.robot, moved.motion.position), (RobotId(0), tasks[0].start));
+        out.clear();
+        world.handle(at_ms(60), In::Mode(mode), &mut out);
+        assert!(out.is_empty(), "a repeated instruction moves no robot again");
     }
 
     #[test]

@@ -27,6 +27,7 @@ pub(super) fn agent_of(trial: &Trial, robots: &[RobotId], incarnation: u32) -> A
             robot,
             dynamics: trial.dynamics(robot),
             range: trial.comm_range(robot),
+            point_ahead_m: trial.deployment.chassis(robot).point_ahead_m,
             every: trial.models.every(robot, tick),
             channels: trial.channels(robot).unwrap_or_else(|error| panic!("the policy was checked: {error}")),
             run: trial.models.of(robot).instance(&arena, robot),
@@ -38,7 +39,7 @@ pub(super) fn agent_of(trial: &Trial, robots: &[RobotId], incarnation: u32) -> A
     };
     let wait = max_wait(trial, robots);
     let robots = robots.iter().map(policies).collect();
-    Agent::new(Arc::clone(&trial.scenario), wait, robots)
+    Agent::new(Arc::clone(&trial.scenario), wait, robots).with_layouts(trial.layouts.clone())
 }
 
 /// Returns the longest times until the answer of a worker that computes the policies of an Agent of `robots`: from the

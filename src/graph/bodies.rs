@@ -7,6 +7,7 @@ use std::sync::Arc;
 use tracing::info_span;
 
 use super::devices::Device;
+use super::emulated::users_m;
 use super::event::Event;
 use super::process::{Graph, Process};
 use crate::actors::body::{self, Body};
@@ -14,7 +15,7 @@ use crate::actors::localizer::{self, Localizer};
 use crate::actors::world::{self, PersistentPlant, World};
 use crate::actors::{controller, network, senses, status};
 use crate::chassis::Chassis;
-use crate::deploy::Deployment;
+use crate::deploy::{Deployment, Link};
 use crate::drivers::Driver;
 use crate::drivers::simulated::Simulated;
 use crate::estimation;
@@ -181,9 +182,11 @@ pub(super) fn wire_world(
     let place = &graph.worlds[simulated[0].index()];
     let scenario = Arc::clone(&trial.scenario);
     let (senses, perceives) = (graph.senses.clone(), !trial.deployment.sense_names().is_empty());
-    let perceiving = simulated.clone();
+    let (perceiving, layouts) = (simulated.clone(), trial.layouts.clone());
     let make = move |_| {
-        World::new(Rc::clone(&persistent), Arc::clone(&scenario), placement, &simulated, &others).with_scenes(perceives)
+        World::new(Rc::clone(&persistent), Arc::clone(&scenario), placement, &simulated, &others)
+            .with_scenes(perceives)
+            .with_layouts(layouts.clone())
     };
     start(clock, place, info_span!("world", host = host.0), make, move |out| match out {
         world::Out::Sample(sample) => sensors[sample.robot.index()].send(localizer::In::Sample(sample)),
@@ -197,9 +200,13 @@ pub(super) fn wire_world(
     });
 }
 
-/// Returns the mailboxes of the emulated media whose reception depends on the robots' positions.
+/// Returns the mailboxes of the emulated media that carry frames by the robots' positions.
 fn ranged_media(trial: &Trial, graph: &Graph, process: &Process) -> Vec<Mailbox<ether::In>> {
     let links = trial.deployment.links.iter().zip(graph.media.iter()).filter(|_| process.emulated);
-    let ranged = links.filter(|(link, _)| link.range_m.or(link.radio.as_ref().and_then(|r| r.range_m)).is_some());
+    let is_ranged = |link: &Link| {
+        let of_radio = || link.radio.as_ref().and_then(|radio| radio.range_m);
+        link.range_m.or_else(of_radio).or_else(|| users_m(trial, link)).is_some()
+    };
+    let ranged = links.filter(|(link, _)| is_ranged(link));
     ranged.map(|(_, medium)| medium.clone()).collect()
 }

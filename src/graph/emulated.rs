@@ -1,15 +1,17 @@
 //! Emulated links of a run in one process: an actor for each, which carries datagrams between the Networks of its
 //! hosts.
 
+use std::f32::consts::SQRT_2;
 use std::rc::Rc;
 
 use tracing::info_span;
 
 use crate::actors::network;
-use crate::deploy::Host;
+use crate::deploy::{Host, Link};
+use crate::graph::agents::parts_of;
 use crate::graph::event::Event;
 use crate::graph::process::Graph;
-use crate::messages::ids::{HostId, LinkId};
+use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::net::media::emulator::LinkEmulator;
 use crate::net::media::ether::{self, Ether};
 use crate::net::media::radio_link::RadioLink;
@@ -18,6 +20,13 @@ use crate::net::transport;
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
 use crate::trial::Trial;
+
+/// Distance \[m\] beyond all that is computed, up to which latents are carried.
+const MARGIN_M: f32 = 0.5;
+/// Largest speed along a diagonal, in the limit of the speed along each axis.
+const FASTEST_AXES: f32 = SQRT_2;
+/// Number of standard deviations by which a measurement is taken to be wrong at most, along a diagonal.
+const FAR_DEVIATIONS: f32 = 8.0 * SQRT_2;
 
 /// Starts the emulated links. On one with `shared`, datagrams to all reach every host, whatever they contain, as on
 /// real links.
@@ -32,6 +41,7 @@ pub(super) fn wire_links(clock: &Clock, trial: &Trial, graph: &Graph, shared: bo
         let (seed, name) = (trial.streams(), link.name.clone());
         let (radio, range_m, robots_of) = (link.radio.clone(), link.range_m, Rc::clone(&robots_of));
         let everyone = shared.then(|| everyone.clone());
+        let users_m = users_m(trial, link).filter(|_| !shared);
         let make = move |incarnation| {
             let stream = seed.stream(&format!("link/{name}/{incarnation}"));
             let emulator = LinkEmulator::new(impairment.clone(), faults.clone(), stream);
@@ -39,7 +49,8 @@ pub(super) fn wire_links(clock: &Clock, trial: &Trial, graph: &Graph, shared: bo
             let radio_link = radio.clone().map(|radio| RadioLink::new(radio, &robots_of, &air()));
             let reach = range_m.map(|range_m| Reach::new(range_m, &robots_of));
             let listens = |kind| everyone.clone().unwrap_or_else(|| routes.listeners(kind));
-            Ether::new(emulator, radio_link, reach, listens)
+            let users = users_m.map(|users_m| Reach::new(users_m, &robots_of));
+            Ether::new(emulator, radio_link, reach, listens).with_users(users)
         };
         let (networks, events) = (graph.networks.clone(), Rc::clone(&graph.events));
         // The counts of a medium are of no host; the one that judges reports them.
@@ -52,6 +63,30 @@ pub(super) fn wire_links(clock: &Clock, trial: &Trial, graph: &Graph, shared: bo
             ether::Out::Counts(counts) => events.emit(judge, Event::Radio(id, &counts)),
         });
     }
+}
+
+/// Returns the distance \[m\] from its sender beyond which a latent on a link is of no use to any robot, so that it need
+/// not be carried there; `None` if it has to be carried everywhere: where robots may be mistaken about where they are,
+/// where ranges are drawn, where what was received is followed, and on ground so small that all are near each other.
+///
+/// Robots accept latents within their communication range. Between the World's step and the reception both robots move,
+/// and their measurements have noise.
+pub(super) fn users_m(trial: &Trial, link: &Link) -> Option<f32> {
+    let deployment = &trial.deployment;
+    let one_each = deployment.hosts.iter().all(|host| host.agents.concat().len() <= 1);
+    let ranges = || RobotId::team(deployment.robots).map(|robot| trial.comm_range(robot));
+    let certain = trial.faults.actors.is_empty() && trial.faults.links.is_empty() && !trial.steps.kept();
+    let whole = parts_of(&trial.models).is_none();
+    if !(one_each && certain && whole && ranges().all(|range| range.std_m == 0.0) && link.radio.is_none()) {
+        return None;
+    }
+    let sensor = trial.physics.sensor;
+    let age = link.impairment().delay + sensor.latency + sensor.period + trial.step_takes + trial.models.period() * 2;
+    let driven_m = 2.0 * FASTEST_AXES * trial.models.limit_m_s() * age.as_secs() as f32;
+    let noise_m = 2.0 * FAR_DEVIATIONS * (sensor.position_m + sensor.velocity_m_s * age.as_secs() as f32);
+    let users_m = ranges().map(|range| range.mean_m).fold(0.0, f32::max) + driven_m + noise_m + MARGIN_M;
+    let across_m = 2.0 * trial.scenario.arena().half_extent.norm();
+    (users_m < across_m).then_some(users_m)
 }
 
 /// Returns a function that passes an input for a transport to the emulated medium of its link.

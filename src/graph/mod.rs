@@ -252,7 +252,8 @@ fn wire_controller(clock: &Clock, trial: &Trial, graph: &Graph, robot: RobotId, 
     };
     let (network, status) = (graph.network_of(host), graph.status_of(host));
     let events = Rc::clone(&graph.events);
-    let make = move |_| Controller::new(config.clone());
+    let layouts = trial.layouts.clone();
+    let make = move |_| Controller::new(config.clone()).with_layouts(layouts.clone());
     start(clock, mailbox, info_span!("controller", robot = robot.0), make, move |out| match out {
         controller::Out::MotorCommand(m) => network.send(network::In::Publish(Wire::MotorCommand(m))),
         controller::Out::Heartbeat(m) => {

@@ -27,7 +27,7 @@ pub(super) fn wire_senses(clock: &Clock, trial: &Rc<Trial>, graph: &Graph, robot
             let sense = (parts.sense)(Site { robot, arena: trial.scenario.arena(), stream });
             Named { index, name, floats: parts.layout.floats(), sense }
         });
-        Senses::new(robot, named.collect())
+        Senses::new(robot, named.collect()).with_layouts(trial.layouts.clone())
     };
     start(clock, mailbox, info_span!("senses", robot = robot.0), make, move |sensed| {
         network.send(network::In::Publish(Wire::Sensed(sensed)));

@@ -135,6 +135,8 @@ pub struct Scene {
     pub time: Time,
     /// Whether a robot was just placed, so that what was seen before counts no longer.
     pub placed: bool,
+    /// Index of the episode, from zero, whose obstacles stand.
+    pub episode: u32,
     /// Poses of the robots, in the order of robot ids.
     pub robots: Arc<[Standing]>,
 }

@@ -31,7 +31,7 @@ use self::manifest::Manifest;
 use crate::messages::wire::Form;
 use crate::observation::Observation;
 use crate::random::{Seed, Stream};
-use crate::scenario::Scenario;
+use crate::scenario::{Arena, Scenario};
 use crate::time::Span;
 
 /// Last message of a neighbour, as input to a robot's policy. A neighbour is another robot within communication range.
@@ -110,6 +110,10 @@ pub trait Policy {
     fn form(&self) -> Form {
         Form::default()
     }
+
+    /// Takes the arena of the episode that begins, in the policy frame, where it is another one than that for which the
+    /// policy was made: the robots' radius is the same. The default does nothing, for policies that know no arena.
+    fn enter(&mut self, _arena: &Arena) {}
 
     /// Returns whether the steps of several robots of an Agent are computed together. Then each robot is told by
     /// `prepare_encode` and `prepare_act` what the next `encode` and `act` of a running episode get, before the first

@@ -264,6 +264,10 @@ impl Policy for Orca {
         INTERFACE
     }
 
+    fn enter(&mut self, arena: &Arena) {
+        *self = Orca::new(arena);
+    }
+
     fn encode(&mut self, own: &Observation, features: &mut [f32]) {
         let preferred = self.preferred(own);
         features.copy_from_slice(&[self.arena.robot_radius_m, preferred.x, preferred.y]);

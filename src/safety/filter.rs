@@ -79,6 +79,11 @@ impl Filter {
         Filter { settings, barrier, yielding: Yielding::default() }
     }
 
+    /// Sets the solid blocks of the arena, world frame, from now on.
+    pub(crate) fn enter(&mut self, walls: Arc<[KeepOut]>) {
+        self.settings.walls = walls;
+    }
+
     /// Returns the state of the filter that changes from step to step: for how long the limits have kept the robot from
     /// moving. The method `restore` continues from it.
     pub fn yielding(&self) -> Yielding {

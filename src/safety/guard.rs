@@ -5,6 +5,8 @@
 //! latched until a re-arm. It reads no clock: the time is an argument, and `wake_at` is its next deadline. The Body,
 //! the actor of the motors, expires the last command by itself, even if the guard has died.
 
+use std::sync::Arc;
+
 pub use super::counts::SafetyCounts;
 use super::filter::{Filter, Filtered, Settings};
 use super::hardware::Permit;
@@ -18,6 +20,7 @@ use crate::messages::local::Action;
 use crate::messages::place::Whereabouts;
 pub use crate::messages::trigger::Trigger;
 use crate::messages::wire::Stop;
+use crate::scenario::KeepOut;
 use crate::time::{Span, Time};
 
 /// Number of neighbours for which there is room from the start.
@@ -172,6 +175,12 @@ impl Guard {
     pub fn server_heard(&mut self, now: Time) {
         (self.server, self.now) = (Some(now), now);
         self.end(Trigger::Silence);
+    }
+
+    /// Sets the solid blocks of the arena, world frame, that the robot must not touch from now on.
+    pub(crate) fn enter(&mut self, walls: Arc<[KeepOut]>) {
+        self.settings.walls = Arc::clone(&walls);
+        self.filter.enter(walls);
     }
 
     /// Records that the state server has given a new instruction, which ends a stop for an invalid policy output.
@@ -379,8 +388,6 @@ fn log(trigger: Trigger, often: &str) {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use super::*;
     use crate::messages::ids::HostId;
     use crate::messages::local::{OtherRobot, Progress};

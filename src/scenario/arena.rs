@@ -40,6 +40,11 @@ pub struct Arena {
 }
 
 impl KeepOut {
+    /// Returns smallest x and y, then largest x and y of the block \[m\], world frame.
+    pub fn corners(&self) -> [f32; 4] {
+        [self.min.x, self.min.y, self.max.x, self.max.y]
+    }
+
     /// Returns the distance from `point` \[m\], world frame, to the block \[m\]; zero inside the block.
     pub(crate) fn distance(&self, point: Vec2) -> f32 {
         (point - self.nearest(point)).norm()

@@ -6,10 +6,10 @@
 use std::fmt::Display;
 use std::sync::Arc;
 
-use super::{Entry, Progress, Scenario, ScenarioError, Settings, TaskFile, build_of};
+use super::{Arena, Entry, Progress, Scenario, ScenarioError, Settings, TaskFile, build_of};
 use crate::messages::geometry::{Motion, Planar, Task, Vec2, is_finite};
 use crate::messages::local::Contacts;
-use crate::observation::{Bound, Channel, Known, Request, builtin};
+use crate::observation::{Bound, Channel, Known, PolicyFrame, Request, builtin};
 use crate::time::Span;
 
 /// Team sizes with which the contract test builds a scenario, if the scenario accepts them; `None` is the scenario's
@@ -110,12 +110,15 @@ fn hulls(scenario: &dyn Scenario, settings: &Settings) -> Result<(), String> {
 }
 
 fn tasks(scenario: &dyn Scenario) -> Result<(), String> {
-    let arena = scenario.arena();
     for (seed, episode) in (0..20).flat_map(|seed| (0..3).map(move |episode| (seed, episode))) {
         let at = format!("seed {seed}, episode {episode}");
         let tasks = scenario.tasks(seed, episode);
         require(tasks.len() == scenario.robots(), || format!("{} tasks, {at}", tasks.len()))?;
         require(tasks == scenario.tasks(seed, episode), || format!("other tasks the second time, {at}"))?;
+        let drawn = scenario.drawn_arena(seed, episode);
+        require(drawn == scenario.drawn_arena(seed, episode), || format!("other obstacles the second time, {at}"))?;
+        let arena = drawn.as_ref().unwrap_or(scenario.arena());
+        entered(scenario, (&tasks, arena)).map_err(|broken| format!("{broken}, {at}"))?;
         let places: Vec<Vec2> = match scenario.cost() {
             None => tasks.iter().map(|task| task.goal).collect(),
             Some(_) => tasks.iter().map(|task| task.start).collect(),
@@ -134,6 +137,22 @@ fn tasks(scenario: &dyn Scenario) -> Result<(), String> {
     // Where robots exchange few places, two seeds may give the same.
     let differs = (1..10).any(|seed| scenario.tasks(seed, 0) != scenario.tasks(0, 0));
     require(differs, || "all seeds give equal tasks")
+}
+
+/// Checks that a robot with obstacles that are drawn for the episode can start, and is on the ground of all episodes.
+fn entered(scenario: &dyn Scenario, (tasks, arena): (&[Task], &Arena)) -> Result<(), String> {
+    if *arena == *scenario.arena() {
+        return Ok(());
+    }
+    let is_ground =
+        arena.half_extent == scenario.arena().half_extent && arena.robot_radius_m == scenario.arena().robot_radius_m;
+    require(is_ground, || "the ground of an episode is another one")?;
+    for (robot, task) in tasks.iter().enumerate() {
+        require(arena.admits(task.start), || format!("robot {robot} starts in an obstacle at {}", task.start.shown()))?;
+        let is_turned = scenario.frame(task) != PolicyFrame::World;
+        require(!is_turned, || "a policy frame that is not the world frame, with obstacles that are drawn")?;
+    }
+    Ok(())
 }
 
 /// Checks that each channel of the scenario has a name of its own, and finite values for a robot with this `task`, of a
@@ -236,8 +255,7 @@ fn reward(scenario: &dyn Scenario, task: &Task) -> Result<(), String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::observation::PolicyFrame;
-    use crate::scenario::{Arena, Rules, swap};
+    use crate::scenario::{Rules, swap};
 
     /// A scenario whose robots all have the same goal.
     #[derive(Debug)]

@@ -1,4 +1,5 @@
-//! Layouts of a trial's episodes: start and goal of every robot, drawn at random by a scenario or read from a file.
+//! Layouts of a trial's episodes: start and goal of every robot, drawn at random by a scenario or read from a file, and
+//! the obstacles that the scenario draws for an episode.
 //!
 //! A file is JSON: `{"episodes": [[{"start": [x, y], "goal": [x, y]}, ...], ...]}`, in metres, world frame.
 
@@ -6,7 +7,7 @@ use std::sync::Arc;
 
 use serde::Deserialize;
 
-use super::Scenario;
+use super::{Arena, KeepOut, Scenario};
 use crate::config;
 use crate::config::shown::counted;
 use crate::messages::geometry::{Task, Vec2, is_finite};
@@ -15,10 +16,13 @@ use crate::messages::geometry::{Task, Vec2, is_finite};
 /// count as equal.
 const CHAIN_M: f32 = 1e-3;
 
-/// Start and goal of every robot in every episode of a trial (a run of several episodes).
-#[derive(Clone, Debug)]
+/// Start and goal of every robot in every episode of a trial (a run of several episodes), and the arenas of the episodes
+/// where these differ.
+#[derive(Clone, Debug, Default)]
 pub struct Layouts {
     episodes: Arc<[Vec<Task>]>,
+    /// Arena of each episode; empty if all have the arena of the scenario.
+    arenas: Arc<[Arc<Arena>]>,
 }
 
 /// Error of a layout file (starts and goals of a trial's episodes) that cannot be used.
@@ -35,6 +39,9 @@ pub enum LayoutError {
         /// Number of episodes requested.
         wanted: usize,
     },
+    /// The scenario draws obstacles for each episode, which a file of starts and goals does not have.
+    #[error("the obstacles of '{0}' are drawn with the starts and goals: leave the file out")]
+    Drawn(String),
     /// An episode has a wrong number of robots, or a start or goal that no robot can have.
     #[error("episodes[{episode}]: {reason}")]
     Episode {
@@ -61,12 +68,18 @@ struct Entry {
 impl Layouts {
     /// Returns the layouts of the first `episodes` episodes, which `scenario` draws at random from `seed`.
     pub fn of_scenario(scenario: &dyn Scenario, seed: u64, episodes: u32) -> Layouts {
-        Layouts { episodes: (0..episodes).map(|episode| scenario.tasks(seed, episode)).collect() }
+        Layouts {
+            episodes: (0..episodes).map(|episode| scenario.tasks(seed, episode)).collect(),
+            arenas: (0..episodes).map_while(|episode| scenario.drawn_arena(seed, episode)).map(Arc::new).collect(),
+        }
     }
 
     /// Reads the first `episodes` layouts of a JSON text and checks them against `scenario`: team size, free starts and
     /// goals. The text is `{"episodes": [[{"start": [x, y], "goal": [x, y]}, ...], ...]}` in metres, world frame.
     pub fn from_json(text: &str, scenario: &dyn Scenario, episodes: u32) -> Result<Layouts, LayoutError> {
+        if scenario.drawn_arena(0, 0).is_some() {
+            return Err(LayoutError::Drawn(scenario.name().to_owned()));
+        }
         let file: File = serde_json::from_str(text).map_err(|e| LayoutError::Syntax(config::json(&e)))?;
         let wanted = episodes as usize;
         if file.episodes.len() < wanted {
@@ -79,7 +92,7 @@ impl Layouts {
             Ok(tasks)
         };
         let episodes: Result<_, LayoutError> = file.episodes.into_iter().take(wanted).enumerate().map(parse).collect();
-        Ok(Layouts { episodes: episodes? })
+        Ok(Layouts { episodes: episodes?, arenas: Arc::default() })
     }
 
     /// Returns the number of episodes in a JSON text; `None` if there are none or it is not such a text.
@@ -90,12 +103,20 @@ impl Layouts {
 
     /// Returns the layouts of the episodes from index `first` (from zero) to the last.
     pub fn since(&self, first: u32) -> Layouts {
-        Layouts { episodes: self.episodes.iter().skip(first as usize).cloned().collect() }
+        let skipped = first as usize;
+        Layouts {
+            episodes: self.episodes.iter().skip(skipped).cloned().collect(),
+            arenas: self.arenas.iter().skip(skipped).cloned().collect(),
+        }
     }
 
     /// Returns the layouts of the first `count` episodes.
     pub fn first(&self, count: u32) -> Layouts {
-        Layouts { episodes: self.episodes.iter().take(count as usize).cloned().collect() }
+        let taken = count as usize;
+        Layouts {
+            episodes: self.episodes.iter().take(taken).cloned().collect(),
+            arenas: self.arenas.iter().take(taken).cloned().collect(),
+        }
     }
 
     /// Returns the number of episodes for which there are starts and goals.
@@ -114,6 +135,18 @@ impl Layouts {
     /// If there is no such episode.
     pub fn episode(&self, episode: u32) -> &[Task] {
         &self.episodes[episode as usize]
+    }
+
+    /// Returns the arena of the episode with index `episode` (from zero), with the obstacles that are drawn for it; `None`
+    /// if all episodes have the arena of the scenario, or if there is no such episode.
+    pub fn arena(&self, episode: u32) -> Option<&Arc<Arena>> {
+        self.arenas.get(episode as usize)
+    }
+
+    /// Returns the solid blocks of each episode: smallest x and y, then largest x and y \[m\], world frame. Empty if all
+    /// episodes have the arena of the scenario.
+    pub fn drawn_blocks(&self) -> Vec<Vec<[f32; 4]>> {
+        self.arenas.iter().map(|arena| arena.keep_outs.iter().map(KeepOut::corners).collect()).collect()
     }
 
     /// Returns true if every robot's start in an episode is its goal in the previous episode (within 1 mm), so that

@@ -78,8 +78,17 @@ pub trait Scenario: Debug + Send + Sync {
     /// Returns the number of robots in the team.
     fn robots(&self) -> usize;
 
-    /// Returns the arena: ground, walls and bottlenecks, in the world frame.
+    /// Returns the arena: ground, walls and bottlenecks, in the world frame. It has what is the same in all episodes.
     fn arena(&self) -> &Arena;
+
+    /// Returns the arena of an episode: that of `arena`, with the obstacles that are drawn for this episode alone.
+    /// `seed` is the seed of the run, and `episode` counts from 0. `None`, the default, means that every episode has the
+    /// arena of `arena`. It must not depend on the episode whether there is one.
+    ///
+    /// What is drawn leaves room for the robots: each start and goal of the episode is free.
+    fn drawn_arena(&self, _seed: u64, _episode: u32) -> Option<Arena> {
+        None
+    }
 
     /// Returns start and goal of every robot \[m\], world frame, in the order of robot ids. `seed` is the seed of the
     /// run, and `episode` counts from 0. The starts of an episode are the goals of the previous episode, unless the

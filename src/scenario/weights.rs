@@ -15,13 +15,29 @@ pub struct Weights {
     pub contact: Option<f32>,
     /// Penalty per second until the robot has arrived at its goal \[1/s\].
     pub time: Option<f32>,
+    /// Penalty per second for another robot, or a wall, at distance zero \[1/s\].
+    pub nearness: Option<f32>,
+    /// Penalty per second for the square of the robot's speed \[s/m²\].
+    pub energy: Option<f32>,
+    /// Penalty per second for the distance from the middle of the team \[1/(m s)\].
+    pub cohesion: Option<f32>,
+    /// Penalty per second for the squared difference of the velocity from the mean of the team \[s/m²\].
+    pub matching: Option<f32>,
 }
 
 impl Weights {
     /// Returns the weights that are given, each with the name of its term.
     pub fn given(&self) -> impl Iterator<Item = (&'static str, f32)> + use<> {
-        let all =
-            [("progress", self.progress), ("arrival", self.arrival), ("contact", self.contact), ("time", self.time)];
+        let all = [
+            ("progress", self.progress),
+            ("arrival", self.arrival),
+            ("contact", self.contact),
+            ("time", self.time),
+            ("nearness", self.nearness),
+            ("energy", self.energy),
+            ("cohesion", self.cohesion),
+            ("matching", self.matching),
+        ];
         all.into_iter().filter_map(|(term, weight)| Some((term, weight?)))
     }
 }

@@ -72,7 +72,7 @@ fn fed(sense: &mut dyn Sense) -> Result<Vec<Out>, String> {
                 Standing { robot: RobotId(robot), centre: Vec2::new(number(), number()), heading: number() }
             })
             .collect();
-        let scene = Scene { time: now, placed: step % 20 == 0, robots };
+        let scene = Scene { time: now, placed: step % 20 == 0, episode: 0, robots };
         sense.take(now, In::Scene(&scene), &mut out);
         let length = stream.random_range(0..100);
         let packet: Vec<u8> = (0..length).map(|_| stream.random()).collect();

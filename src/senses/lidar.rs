@@ -225,6 +225,10 @@ impl Measure for Lidar {
         self.scanner.disturb(&mut self.stream, &mut values);
         Some(values)
     }
+
+    fn enter(&mut self, arena: &Arena) {
+        self.arena.clone_from(arena);
+    }
 }
 
 #[cfg(test)]
@@ -255,7 +259,7 @@ mod tests {
     fn scene(ms: u64, placed: bool) -> Scene {
         let standing = |robot, x, y| Standing { robot: RobotId(robot), centre: Vec2::new(x, y), heading: 0.0 };
         let robots = [standing(0, 0.0, 0.0), standing(1, 2.0, 0.0), standing(2, 0.0, -9.0)].into();
-        Scene { time: Time::ZERO + Span::from_millis(ms), placed, robots }
+        Scene { time: Time::ZERO + Span::from_millis(ms), placed, episode: 0, robots }
     }
 
     fn scans(sense: &mut dyn Sense, scene: &Scene) -> Vec<Vec<f32>> {

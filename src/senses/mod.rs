@@ -78,6 +78,10 @@ pub trait Sense {
     /// Handles one input at time `now` and appends values and refusals to `out`.
     fn take(&mut self, now: Time, input: In, out: &mut Vec<Out>);
 
+    /// Takes the arena of the episode that begins, world frame, in place of that of the `Site` for which the sense was
+    /// made. The default does nothing, for senses that do not compute their values from the arena.
+    fn enter(&mut self, _arena: &Arena) {}
+
     /// Returns the time at which `wake` has to be called next; `None` if no call is needed.
     fn wake_at(&self) -> Option<Time> {
         None

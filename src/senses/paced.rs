@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use super::{In, Out, Sense};
 use crate::config::{ConfigError, in_range};
 use crate::messages::local::Scene;
+use crate::scenario::Arena;
 use crate::time::{Span, Time};
 
 /// Largest number of measurements that wait for the end of their delay.
@@ -33,6 +34,9 @@ impl Pace {
 pub(super) trait Measure {
     /// Returns the values that the sense has in a scene; `None` if its robot is not in it.
     fn measure(&mut self, scene: &Scene) -> Option<Vec<f32>>;
+
+    /// Takes the arena of the episode that begins, in place of the one with which the sense was made.
+    fn enter(&mut self, arena: &Arena);
 }
 
 /// Simulated sense: a measurement with its schedule.
@@ -57,6 +61,10 @@ impl<M: Measure> Sense for Simulated<M> {
         {
             self.schedule.put(now, scene, values, out);
         }
+    }
+
+    fn enter(&mut self, arena: &Arena) {
+        self.measurement.enter(arena);
     }
 
     fn wake_at(&self) -> Option<Time> {

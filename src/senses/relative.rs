@@ -14,7 +14,7 @@ use crate::messages::ids::RobotId;
 use crate::messages::local::{Scene, Standing};
 use crate::observation::Unit;
 use crate::random::{self, RngExt, Stream};
-use crate::scenario::KeepOut;
+use crate::scenario::{Arena, KeepOut};
 
 /// Description of the sense `relative` in one line, for lists of all kinds.
 pub(super) const ABOUT: &str = "simulated: distance, bearing and heading of the robots in view";
@@ -185,6 +185,10 @@ impl Measure for Relative {
         }
         Some(values)
     }
+
+    fn enter(&mut self, arena: &Arena) {
+        self.blocks.clone_from(&arena.keep_outs);
+    }
 }
 
 #[cfg(test)]
@@ -194,7 +198,6 @@ mod tests {
     use super::super::{In, Out, Sense};
     use super::*;
     use crate::random::Seed;
-    use crate::scenario::Arena;
     use crate::time::{Span, Time};
 
     fn settings(text: &str) -> Settings {
@@ -218,7 +221,7 @@ mod tests {
             heading,
         };
         let robots = (0..).zip(at).map(standing).collect();
-        Scene { time: Time::ZERO + Span::from_millis(ms), placed: false, robots }
+        Scene { time: Time::ZERO + Span::from_millis(ms), placed: false, episode: 0, robots }
     }
 
     fn seen(sense: &mut dyn Sense, ms: u64) -> Vec<f32> {

@@ -27,6 +27,7 @@ use crate::estimation;
 use crate::faults::FaultPlan;
 use crate::hearing::CommRange;
 use crate::hearing::Handling;
+use crate::messages::geometry::Vec2;
 use crate::messages::ids::RobotId;
 use crate::messages::wire::{Marks, Stop};
 use crate::observation::{Bound, ChannelError, Dynamics};
@@ -269,7 +270,9 @@ impl Trial {
         let deployment = Deployment { placement: self.placement(), ..self.deployment.clone() };
         deployment.check()?;
         let plant = self.registry.plant(&deployment.plant);
-        deployment.check_drives(plant.map_err(|error| ConfigError::field("plant", error.to_string()))?)?;
+        let plant = plant.map_err(|error| ConfigError::field("plant", error.to_string()))?;
+        deployment.check_drives(plant)?;
+        self.check_obstacles(plant)?;
         self.safety.check()?;
         self.check_senses()?;
         RobotId::team(self.deployment.robots).try_for_each(|robot| self.check_policy(robot))?;
@@ -281,6 +284,18 @@ impl Trial {
         }
         self.faults.check(&deployment.targets())?;
         self.faults.check_episodes(self.layouts.len())
+    }
+
+    /// Checks that the plant can take the obstacles that are drawn for each episode. An error names the field.
+    fn check_obstacles(&self, entry: &world::Entry) -> Result<(), ConfigError> {
+        let Some(arena) = self.layouts.arena(0) else { return Ok(()) };
+        let starts: Vec<Vec2> = self.layouts.episode(0).iter().map(|task| task.start).collect();
+        let mut plant = (entry.build)(self.scenario.arena(), &self.physics, &starts, Seed::of_run(0));
+        if plant.enter(arena) {
+            return Ok(());
+        }
+        let why = format!("'{}' has one arena for all episodes, and this task draws obstacles for each", entry.name);
+        Err(ConfigError::field("plant", why))
     }
 
     /// Checks that a robot has the drive and the channels that its policy needs. An error names the field.

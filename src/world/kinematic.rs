@@ -258,6 +258,11 @@ impl Plant for Kinematic {
         self.update_state(robot);
     }
 
+    fn enter(&mut self, arena: &Arena) -> bool {
+        self.arena.clone_from(arena);
+        true
+    }
+
     fn drive(&mut self, robot: usize, velocity: Vec2) {
         self.commands[robot] = velocity;
     }

@@ -7,7 +7,8 @@
 use std::collections::BTreeMap;
 
 use rapier2d::prelude::{
-    ColliderBuilder, IntegrationParameters, PhysicsWorld, RigidBodyBuilder, RigidBodyHandle, RigidBodyType, Vector,
+    ColliderBuilder, ColliderHandle, IntegrationParameters, PhysicsWorld, RigidBodyBuilder, RigidBodyHandle,
+    RigidBodyType, Vector,
 };
 
 use super::drivetrain::{Drivetrain, StepParameters, limit_norm};
@@ -17,7 +18,7 @@ use crate::chassis::Chassis;
 use crate::messages::geometry::{Motion, Vec2};
 use crate::messages::local::Contacts;
 use crate::random::Seed;
-use crate::scenario::Arena;
+use crate::scenario::{Arena, KeepOut};
 use crate::time::Span;
 
 /// Fields of `Overrides` that a user may not set for the rigid-body plant: pairs of the field's name and the reason.
@@ -38,6 +39,8 @@ pub struct Rigid {
     physics: Physics,
     world: PhysicsWorld,
     parameters: StepParameters,
+    /// Colliders of the solid blocks of the arena.
+    blocks: Vec<ColliderHandle>,
     robots: Vec<(RigidBodyHandle, Drivetrain)>,
     /// Wheels of robots that are not holonomic without limits of their own.
     wheels: BTreeMap<usize, Wheels>,
@@ -63,19 +66,14 @@ pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], seed: Seed) -
         ..IntegrationParameters::default()
     };
     let core_m = physics.wall_radius_m - physics.give_m;
-    let wall = |half: Vec2, centre: Vec2| {
-        let collider = ColliderBuilder::cuboid(half.x, half.y).translation(to_glam(centre));
-        collider.friction(physics.friction).restitution(physics.restitution)
-    };
-    for block in &arena.keep_outs {
-        world.insert_collider(wall((block.max - block.min) / 2.0, (block.max + block.min) / 2.0), None);
-    }
+    let blocks = insert_blocks(&mut world, physics, &arena.keep_outs);
     // A robot's solid core touches the rails just before its centre leaves the ground.
     let face = arena.half_extent.add_scalar(core_m - SINK_M);
     let (half, reach) = (face.add_scalar(RAIL_M), face.add_scalar(RAIL_M / 2.0));
     for side in [-1.0, 1.0] {
-        world.insert_collider(wall(Vec2::new(RAIL_M / 2.0, half.y), Vec2::new(side * reach.x, 0.0)), None);
-        world.insert_collider(wall(Vec2::new(half.x, RAIL_M / 2.0), Vec2::new(0.0, side * reach.y)), None);
+        let (upright, level) = (Vec2::new(RAIL_M / 2.0, half.y), Vec2::new(half.x, RAIL_M / 2.0));
+        world.insert_collider(wall(physics, upright, Vec2::new(side * reach.x, 0.0)), None);
+        world.insert_collider(wall(physics, level, Vec2::new(0.0, side * reach.y)), None);
     }
     let robots = positions.iter().enumerate().map(|(robot, position)| {
         // The robots hold their headings themselves, so rotation is not simulated.
@@ -90,12 +88,24 @@ pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], seed: Seed) -
         physics: *physics,
         world,
         parameters: StepParameters::new(physics, PERIOD),
+        blocks,
         robots,
         wheels: BTreeMap::new(),
         states: vec![PlantState::default(); positions.len()],
     };
     plant.update_motion();
     Box::new(plant)
+}
+
+/// Returns the collider of a wall with half its size and its centre \[m\], world frame.
+fn wall(physics: &Physics, half: Vec2, centre: Vec2) -> ColliderBuilder {
+    let collider = ColliderBuilder::cuboid(half.x, half.y).translation(to_glam(centre));
+    collider.friction(physics.friction).restitution(physics.restitution)
+}
+
+fn insert_blocks(world: &mut PhysicsWorld, physics: &Physics, blocks: &[KeepOut]) -> Vec<ColliderHandle> {
+    let collider = |block: &KeepOut| wall(physics, (block.max - block.min) / 2.0, (block.max + block.min) / 2.0);
+    blocks.iter().map(|block| world.insert_collider(collider(block), None)).collect()
 }
 
 impl Rigid {
@@ -153,6 +163,15 @@ impl Plant for Rigid {
         drivetrain.command = velocity;
         self.world.bodies[*handle].set_linvel(to_glam(velocity), true);
         self.update_motion();
+    }
+
+    fn enter(&mut self, arena: &Arena) -> bool {
+        for block in std::mem::take(&mut self.blocks) {
+            self.world.remove_collider(block);
+        }
+        self.blocks = insert_blocks(&mut self.world, &self.physics, &arena.keep_outs);
+        self.arena.clone_from(arena);
+        true
     }
 
     fn drive(&mut self, robot: usize, velocity: Vec2) {

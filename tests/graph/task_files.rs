@@ -33,7 +33,17 @@ fn the_contract_of_scenarios_holds_for_every_kind_of_places() {
     let formations = format!("start = {}\ngoal = {}", points(-2.0), points(2.0)).replace("], [1.5", "], [1.5");
     let formations = file(&formations).replace("most = 6", "most = 5");
     let places = "places = [[-1.0, -1.0], [0.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [0.0, 1.0], [1.0, 1.0]]";
-    let texts = [file(&format!("{wall}{sides}")), file(&format!("{obstacles}{sides}")), formations, file(places)];
+    let area = "area = { rect = [-2.0, -3.0, 2.0, 3.0] }";
+    let anew = obstacles.replace("seed = 7", "seed = 7, each_episode = true");
+    let texts = [
+        file(&format!("{wall}{sides}")),
+        file(&format!("{obstacles}{sides}")),
+        formations,
+        file(places),
+        file(area),
+        file(&format!("{wall}{anew}{area}")),
+        file(&format!("{anew}{sides}")),
+    ];
     for text in texts.iter().map(String::as_str).chain([FOUR_ROOMS]) {
         let task = TaskFile::read(text).unwrap_or_else(|error| panic!("{error}:\n{text}"));
         contract::check_file(&task).unwrap_or_else(|broken| panic!("{broken}:\n{text}"));
@@ -60,13 +70,14 @@ fn four_rooms_have_four_doors_and_every_robot_changes_its_room() {
 fn what_cannot_be_is_refused_by_its_field() {
     let sides = "start = { disc = [0.0, -1.7, 1.0] }\ngoal = { rect = [-1.5, 0.7, 1.5, 2.5] }";
     let cases = [
-        (String::new(), "start: it is missing: give start and goal, exchange, or places"),
+        (String::new(), "start: it is missing: give start and goal, area, exchange, or places"),
         ("start = { disc = [0.0, 0.0, 1.0] }".to_owned(), "goal: it is missing"),
         (format!("{sides}\nplaces = [[0, 0]]"), "places: there is 'start' already"),
         (format!("{sides}\nunlabelled = true"), "unlabelled: unknown field"),
         (
-            format!("{sides}\nreward = {{ cohesion = 1.0 }}"),
-            "reward.cohesion: unknown field `cohesion`, expected one of `progress`, `arrival`, `contact`, `time`",
+            format!("{sides}\nreward = {{ coverage = 1.0 }}"),
+            "reward.coverage: unknown field `coverage`, expected one of `progress`, `arrival`, `contact`, `time`, \
+             `nearness`, `energy`, `cohesion`, `matching`",
         ),
         (format!("{sides}\nwalls = [{{ disc = [0, 0, 1] }}]"), "walls[0]: a wall is a rectangle"),
         (format!("{sides}\nwalls = [{{ rect = [0, 0, -1, 1] }}]"), "walls[0].rect[0]: the smallest x comes first"),

@@ -156,7 +156,7 @@ fn stage<'a>(trial: &'a Trial, policy: &str, episode: u32) -> Backdrop<'a> {
     Backdrop {
         title: format!("{robots} {many}, scenario {scenario}, mode {}", trial.deployment.mode),
         caption: format!("policy {policy}, seed {}, episode {}", trial.seed, episode + 1),
-        arena: trial.scenario.arena(),
+        arena: trial.layouts.arena(episode).map_or(trial.scenario.arena(), |arena| arena),
         rules: trial.scenario.rules(),
         cost: trial.scenario.cost(),
         radius_m: trial.physics.wall_radius_m,

@@ -118,7 +118,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         );
         findings.push(why);
     }
-    let arena = trial.scenario.arena();
+    let arena = trial.layouts.arena(0).map_or(trial.scenario.arena(), |arena| arena);
     let checked = Checked {
         name: file.name().to_owned(),
         about: file.about().to_owned(),
@@ -168,9 +168,12 @@ fn text(checked: &Checked) -> String {
 
 /// Returns a line about the robots that find no way from their starts to their goals.
 fn lost(trial: &Trial) -> Option<String> {
-    let roadmap = Roadmap::new(trial.scenario.arena());
+    let mut roadmap = Roadmap::new(trial.scenario.arena());
     let (mut layouts, mut first) = (BTreeSet::new(), None);
     for episode in 0..trial.layouts.len() {
+        if let Some(arena) = trial.layouts.arena(episode) {
+            roadmap = Roadmap::new(arena);
+        }
         for (robot, task) in trial.layouts.episode(episode).iter().enumerate() {
             if roadmap.path(task.start, task.goal).is_none() {
                 layouts.insert(episode);

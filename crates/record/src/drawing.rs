@@ -46,9 +46,9 @@ fn point(at: Vec2, height_m: f64) -> [f64; 3] {
     [f64::from(at.x), f64::from(at.y), height_m]
 }
 
-/// Returns the entities of a Foxglove scene update for the walls of `stage` and the robots' `goals` \[m\], world frame,
-/// in the order of robot ids. `at` is the time of the update \[ns\], since 1970 or the start of a simulation.
-pub fn walls_and_goals(at: u64, stage: &Stage, goals: &[Vec2]) -> [SceneEntity; 2] {
+/// Returns the entities of a Foxglove scene update for the walls of `stage` in an episode and the robots' `goals` \[m\],
+/// world frame, in the order of robot ids. `at` is the time of the update \[ns\], since 1970 or the start of a simulation.
+pub fn walls_and_goals(at: u64, (stage, episode): (&Stage, u32), goals: &[Vec2]) -> [SceneEntity; 2] {
     let cube = |[x, y, far_x, far_y]: &[f32; 4]| {
         let (min, max) = (Vec2::new(*x, *y), Vec2::new(*far_x, *far_y));
         let (middle, size) = ((min + max) * 0.5, max - min);
@@ -63,7 +63,10 @@ pub fn walls_and_goals(at: u64, stage: &Stage, goals: &[Vec2]) -> [SceneEntity; 
         disc(point(*goal, 0.005), [width, width, 0.01], Color { a: 0.35, ..colour_of(robot) })
     };
     [
-        SceneEntity { cubes: stage.walls.iter().map(cube).collect(), ..foxglove::entity(at, "walls".to_owned()) },
+        SceneEntity {
+            cubes: stage.walls_in(episode).iter().map(cube).collect(),
+            ..foxglove::entity(at, "walls".to_owned())
+        },
         SceneEntity {
             cylinders: goals.iter().enumerate().map(goal).collect(),
             ..foxglove::entity(at, "goals".to_owned())

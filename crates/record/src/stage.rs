@@ -36,6 +36,9 @@ pub struct Stage {
     pub half_extent: [f32; 2],
     /// Walls and other solid blocks: smallest x and y, then largest x and y \[m\], world frame.
     pub walls: Vec<[f32; 4]>,
+    /// Walls and obstacles of each episode, where obstacles are drawn for each; empty where all episodes have `walls`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub drawn: Vec<Vec<[f32; 4]>>,
     /// Radius of a robot's hull \[m\].
     pub hull_m: f32,
     /// Range within which robots use each other's messages \[m\]; `None` if it is unlimited.
@@ -70,19 +73,15 @@ impl Stage {
             mount_m: layout.sweep.map_or([0.0; 2], |sweep| sweep.mount_m),
         });
         let stage = Stage::of_team((&trial.deployment, &*trial.scenario), trial.physics.wall_radius_m, range_m);
-        Stage { senses: senses.collect(), ..stage }
+        Stage { senses: senses.collect(), drawn: trial.layouts.drawn_blocks(), ..stage }
     }
 
     /// Returns the stage of a team with this deployment and scenario. `hull_m` is the radius of a robot's hull \[m\],
     /// and `range_m` the range within which robots use each other's messages \[m\], infinite if it is unlimited or
-    /// unknown. Senses are left out.
+    /// unknown. Senses, and obstacles that are drawn for each episode, are left out.
     pub fn of_team((deployment, scenario): (&Deployment, &dyn Scenario), hull_m: f32, range_m: f32) -> Stage {
         let arena = scenario.arena();
         let routes = Routes::of(deployment);
-        let wall = |block: &KeepOut| {
-            let ([x, y], [far_x, far_y]) = (block.min.to_array(), block.max.to_array());
-            [x, y, far_x, far_y]
-        };
         Stage {
             scenario: scenario.name().to_owned(),
             mode: deployment.mode.clone(),
@@ -90,11 +89,18 @@ impl Stage {
             homes: RobotId::team(deployment.robots).map(|robot| routes.agent_host(robot)).collect(),
             robots: deployment.robots,
             half_extent: arena.half_extent.to_array(),
-            walls: arena.keep_outs.iter().map(wall).collect(),
+            walls: arena.keep_outs.iter().map(KeepOut::corners).collect(),
+            drawn: Vec::new(),
             hull_m,
             range_m: Some(range_m).filter(|range_m| range_m.is_finite()),
             senses: Vec::new(),
         }
+    }
+
+    /// Returns the walls and obstacles in the episode with this index, from zero: smallest x and y, then largest x and y
+    /// \[m\], world frame.
+    pub fn walls_in(&self, episode: u32) -> &[[f32; 4]] {
+        self.drawn.get(episode as usize).unwrap_or(&self.walls)
     }
 
     /// Returns the stage as MCAP metadata of a record.

@@ -323,7 +323,8 @@ impl Topics {
         if now >= self.standing_due {
             self.standing_due = now + STANDING_PERIOD;
             let goals: Vec<Vec2> = self.goals.values().copied().collect();
-            scene.entities.extend(drawing::walls_and_goals(at, &self.stage, &goals));
+            let episode = self.followed.map_or(0, |(round, _)| round.episode);
+            scene.entities.extend(drawing::walls_and_goals(at, (&self.stage, episode), &goals));
         }
         scene.entities.extend(drawing::team(at, &self.stage, &self.team));
         encode_to(Topic::Scene, at, &scene, take);

@@ -4,12 +4,12 @@
 use serde::{Deserialize, Serialize};
 
 use super::network::Shape;
+pub use super::weights::Reward;
 use murmurate::chassis::{self, Chassis};
 use murmurate::config::{self, ConfigError};
 use murmurate::policy::Draw;
 use murmurate::policy::manifest::{Activation, Aggregation, Architecture, EdgeField, Field, Manifest};
-use murmurate::scenario::size::HULL_M;
-use murmurate::scenario::{Arena, Settings};
+use murmurate::scenario::Settings;
 
 /// Name and TOML text of each preset, a predefined configuration of a training.
 pub const PRESETS: &[(&str, &str)] = &[
@@ -134,58 +134,6 @@ pub struct Ppo {
     pub overshoot: f32,
 }
 
-/// Weights of the terms of a robot's reward in a step. A weight of zero leaves a term out.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Reward {
-    /// Factor on the sum of all terms of the reward.
-    pub scale: f32,
-    /// Weight of the scenario's own reward; 0 if the scenario has none.
-    pub scenario: f32,
-    /// Reward per metre by which the remaining path becomes shorter \[1/m\].
-    pub progress: f32,
-    /// Reward for the arrival at the goal, given once per episode.
-    pub arrival: f32,
-    /// Penalty per second until the robot has arrived at its goal \[1/s\].
-    pub time: f32,
-    /// Penalty per second for every robot of a team until the whole team has arrived \[1/s\], so that robots at their
-    /// goals make room for the last one.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub team_time: f32,
-    /// Penalty for each step in which the robot touches a wall.
-    pub wall: f32,
-    /// Penalty for each step in which the robot touches another robot.
-    pub robot: f32,
-    /// Penalty per second for another robot at distance zero \[1/s\]; decreases linearly to zero at distance
-    /// `proximity_m`.
-    pub proximity: f32,
-    /// Distance between two robots' centres at which the proximity penalty becomes zero \[m\].
-    pub proximity_m: f32,
-    /// Penalty per second for a wall at distance zero \[1/s\]; decreases linearly to zero at distance
-    /// `wall_proximity_m`.
-    pub wall_proximity: f32,
-    /// Distance between a robot's centre and a wall at which the wall's proximity penalty becomes zero \[m\].
-    pub wall_proximity_m: f32,
-    /// Whether a robot near its goal pays for nearness to a wall only where it is nearer than the goal itself.
-    /// Otherwise a robot does not drive to a goal that is within `wall_proximity_m` of a wall.
-    #[serde(default, skip_serializing_if = "is_false")]
-    pub goals_near_walls: bool,
-    /// Weight of the team's mean reward in a robot's reward, 0 to 1; the rest is the weight of the robot's own.
-    pub shared: f32,
-    /// Factor on the penalties for contacts and proximity in episodes with the safety filter, which keeps robots apart
-    /// by itself.
-    #[serde(default = "unchanged")]
-    pub filtered: f32,
-}
-
-fn unchanged() -> f32 {
-    1.0
-}
-
-fn is_false(switch: &bool) -> bool {
-    !switch
-}
-
 fn is_zero(weight: &f32) -> bool {
     *weight == 0.0
 }
@@ -257,32 +205,6 @@ pub struct CurriculumStage {
     /// Factor on the penalties for contacts and proximity. Large penalties in the first stage make an untrained policy
     /// learn to stand still.
     pub penalties: f32,
-}
-
-impl Reward {
-    /// Returns the weights with all penalties for contacts and proximity multiplied by `factor`.
-    pub fn with_penalties(self, factor: f32) -> Reward {
-        Reward {
-            wall: factor * self.wall,
-            robot: factor * self.robot,
-            proximity: factor * self.proximity,
-            wall_proximity: factor * self.wall_proximity,
-            ..self
-        }
-    }
-
-    /// Returns the weights with the distances at which robots pay for nearness those of robots with the hull in
-    /// `arena`.
-    pub fn about(self, arena: &Arena) -> Reward {
-        let share = arena.hull_m() / HULL_M;
-        let (proximity_m, wall_proximity_m) = (share * self.proximity_m, share * self.wall_proximity_m);
-        Reward { proximity_m, wall_proximity_m, ..self }
-    }
-
-    /// Returns the weights for an episode; `filtered` says whether it has the safety filter.
-    pub fn in_episode(self, filtered: bool) -> Reward {
-        if filtered { self.with_penalties(self.filtered) } else { self }
-    }
 }
 
 impl Config {

@@ -16,7 +16,7 @@ use super::conditions::EpisodeConditions;
 use super::config::{Conditions, Reward};
 use super::filters;
 use super::message_buffer::MessageBuffer;
-use super::reward::{RobotStep, proximity_penalty, robot_reward, team_penalty};
+use super::reward::{RobotStep, TeamMeans, proximity_penalty, robot_reward, team_penalty};
 use super::rolling::Rolling;
 use murmurate::chassis::{Chassis, DriveKind};
 use murmurate::messages::geometry::{Motion, Task, Vec2};
@@ -25,7 +25,7 @@ use murmurate::random;
 use murmurate::random::Stream;
 use murmurate::safety::Clamp;
 use murmurate::safety::filter::Filter;
-use murmurate::scenario::{Progress, Scenario, TeamAfterStep};
+use murmurate::scenario::{Arena, Progress, Scenario, TeamAfterStep};
 use murmurate::world::Physics;
 use murmurate::world::kinematic::{self, PERIOD};
 
@@ -83,6 +83,9 @@ pub struct Environments {
     pub reward: Vec<f32>,
     /// Scenario for each team size that occurs, indexed by the team size.
     scenarios: Vec<Option<Arc<dyn Scenario>>>,
+    /// Arena of the current episode of each team, with the obstacles that are drawn for it; `None` where all episodes
+    /// have the scenario's.
+    arenas: Vec<Option<Arena>>,
     /// Physical parameters, one entry per team.
     physics: Vec<Physics>,
     before: Vec<Vec2>,
@@ -127,6 +130,7 @@ impl Environments {
         };
         Environments {
             physics: teams.iter().map(physics).collect(),
+            arenas: vec![None; teams.len()],
             teams,
             position: vec![Vec2::zeros(); robots],
             velocity: vec![Vec2::zeros(); robots],
@@ -171,6 +175,11 @@ impl Environments {
         &**self.scenarios[self.teams[team].robots].as_ref().expect("every team has a scenario")
     }
 
+    /// Returns the arena of the current episode of the team with index `team`.
+    pub fn arena(&self, team: usize) -> &Arena {
+        self.arenas[team].as_ref().unwrap_or_else(|| self.scenario(team).arena())
+    }
+
     /// Starts an episode of the team with index `team`, with a layout and conditions drawn from `stream`.
     pub fn start(&mut self, team: usize, conditions: &Conditions, stream: &mut Stream) {
         let episode = EpisodeConditions::draw(conditions, self.teams[team].robots, stream);
@@ -213,11 +222,12 @@ impl Environments {
 
     pub(super) fn set_episode(&mut self, team: usize, layout: (u64, u32), tasks: &[Task], episode: EpisodeConditions) {
         self.physics[team] = episode.physics(self.scenario(team).arena());
+        self.arenas[team] = self.scenario(team).drawn_arena(layout.0, layout.1);
         let range = self.teams[team].range();
         self.tasks[range.clone()].copy_from_slice(tasks);
         (self.teams[team].layout, self.teams[team].episode) = (layout, episode);
         let ahead_m = self.rolling.as_ref().map_or(0.0, Rolling::ahead_m);
-        let (episode, arena) = (&self.teams[team].episode, self.scenario(team).arena());
+        let (episode, arena) = (&self.teams[team].episode, self.arena(team));
         let filter = filters::filter(episode, arena, &self.physics[team], ahead_m);
         self.filters[range].fill(filter);
     }
@@ -247,7 +257,8 @@ impl Environments {
             contacts: &mut self.contacts[range.clone()],
             before: &mut self.before[range.clone()],
         };
-        kinematic::step(scenario.arena(), &self.physics[team], &self.command[range.clone()], &mut world);
+        let arena = self.arenas[team].as_ref().unwrap_or(scenario.arena());
+        kinematic::step(arena, &self.physics[team], &self.command[range.clone()], &mut world);
         if let Some(rolling) = &mut self.rolling {
             for robot in range.clone() {
                 let centre = Motion { position: self.position[robot], velocity: self.velocity[robot] };
@@ -270,13 +281,17 @@ impl Environments {
         let progress = self.to_go_m[range.clone()].iter_mut().zip(&mut self.arrived[range.clone()]);
         let progress = progress.zip(&mut self.reward[range.clone()]);
         let states = tasks.iter().zip(position.iter().zip(points)).zip(contacts).zip(scored).zip(progress).enumerate();
+        let means = TeamMeans::of(weights, points, velocity);
         let (mut sum, mut touched) = (0.0, false);
         for (robot, ((((task, (&at, &point)), &contacts), scored), ((to_go_m, arrived), reward))) in states {
             let (&scenario_reward, &reached) = scored;
             let step = RobotStep { task, position: at, point, contacts, scenario_reward, reached, to_go_m, arrived };
-            *reward = robot_reward(weights, scenario, step);
+            *reward = robot_reward(weights, (scenario, arena), step);
             if weights.proximity > 0.0 {
                 *reward -= proximity_penalty(weights, robot, position);
+            }
+            if let Some(means) = &means {
+                *reward -= means.penalty(weights, &Motion { position: point, velocity: velocity[robot] });
             }
             sum += *reward;
             touched |= contacts.wall || (judged && contacts.robot);

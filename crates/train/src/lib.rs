@@ -34,6 +34,7 @@ mod task;
 pub mod trainer;
 pub mod update;
 pub mod vector;
+mod weights;
 
 /// Digest of this package's sources. Packages with equal digests behave equally.
 pub const DIGEST: &str = env!("SOURCE_DIGEST");

@@ -1,6 +1,6 @@
 //! Validation of a training's configuration: the permitted values of its fields.
 
-use super::config::{Conditions, Config, Critic, Ppo, Reward};
+use super::config::{Conditions, Config, Critic, Ppo};
 use murmurate::config::ConfigError;
 
 impl Config {
@@ -145,30 +145,5 @@ impl Conditions {
             within(field, high, low, max)?;
         }
         Ok(())
-    }
-}
-
-impl Reward {
-    /// Checks the values of all fields. The error names the first wrong one.
-    pub(super) fn check(&self) -> Result<(), ConfigError> {
-        let weights = [
-            ("reward.scale", self.scale),
-            ("reward.scenario", self.scenario),
-            ("reward.progress", self.progress),
-            ("reward.arrival", self.arrival),
-            ("reward.time", self.time),
-            ("reward.team_time", self.team_time),
-            ("reward.wall", self.wall),
-            ("reward.robot", self.robot),
-            ("reward.proximity", self.proximity),
-            ("reward.wall_proximity", self.wall_proximity),
-            ("reward.filtered", self.filtered),
-        ];
-        for (field, value) in weights {
-            within(field, value, 0.0, 1e4)?;
-        }
-        within("reward.proximity_m", self.proximity_m, 1e-3, 100.0)?;
-        within("reward.wall_proximity_m", self.wall_proximity_m, 1e-3, 100.0)?;
-        within("reward.shared", self.shared, 0.0, 1.0)
     }
 }

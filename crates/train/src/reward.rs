@@ -3,7 +3,7 @@
 use super::config::Reward;
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::local::Contacts;
-use murmurate::scenario::{Progress, Scenario};
+use murmurate::scenario::{Arena, Progress, Scenario};
 use murmurate::world::kinematic::PERIOD;
 
 /// Distance of a robot from its goal within which the goal's own distance from a wall matters \[m\].
@@ -40,9 +40,9 @@ pub fn has_reward(scenario: &dyn Scenario) -> bool {
     tasks.first().and_then(reward).is_some()
 }
 
-/// Returns the reward of one robot for a step: the terms with these `weights`, without those that depend on other
-/// robots' positions or rewards.
-pub fn robot_reward(weights: &Reward, scenario: &dyn Scenario, step: RobotStep) -> f32 {
+/// Returns the reward of one robot for a step in the arena of its episode: the terms with these `weights`, without those
+/// that depend on other robots' positions or rewards.
+pub fn robot_reward(weights: &Reward, (scenario, arena): (&dyn Scenario, &Arena), step: RobotStep) -> f32 {
     let position = step.position;
     let mut reward = 0.0;
     if weights.scenario > 0.0 {
@@ -68,8 +68,8 @@ pub fn robot_reward(weights: &Reward, scenario: &dyn Scenario, step: RobotStep) 
         reward -= weights.robot;
     }
     if weights.wall_proximity > 0.0 {
-        let near_m = wall_proximity_m(weights, scenario, step.task.goal, position);
-        let near = 1.0 - scenario.arena().clearance(position) / near_m;
+        let near_m = wall_proximity_m(weights, arena, step.task.goal, position);
+        let near = 1.0 - arena.clearance(position) / near_m;
         reward -= weights.wall_proximity * near.max(0.0) * PERIOD.as_secs() as f32;
     }
     reward * weights.scale
@@ -77,9 +77,9 @@ pub fn robot_reward(weights: &Reward, scenario: &dyn Scenario, step: RobotStep) 
 
 /// Returns the distance from a wall at which a robot at `position` with the goal `goal` begins to pay for its nearness
 /// \[m\].
-fn wall_proximity_m(weights: &Reward, scenario: &dyn Scenario, goal: Vec2, position: Vec2) -> f32 {
+fn wall_proximity_m(weights: &Reward, arena: &Arena, goal: Vec2, position: Vec2) -> f32 {
     if weights.goals_near_walls && (goal - position).norm_squared() < NEAR_GOAL_M * NEAR_GOAL_M {
-        return weights.wall_proximity_m.min(scenario.arena().clearance(goal)).max(f32::EPSILON);
+        return weights.wall_proximity_m.min(arena.clearance(goal)).max(f32::EPSILON);
     }
     weights.wall_proximity_m
 }
@@ -95,6 +95,36 @@ pub fn proximity_penalty(weights: &Reward, robot: usize, positions: &[Vec2]) -> 
         }
     }
     weights.scale * weights.proximity * near * PERIOD.as_secs() as f32
+}
+
+/// Mean position \[m\] and velocity \[m/s\] of a team.
+#[derive(Clone, Copy, Debug)]
+pub struct TeamMeans {
+    /// Mean of the robots' positions \[m\], world frame.
+    pub position: Vec2,
+    /// Mean of the robots' velocities \[m/s\], world frame.
+    pub velocity: Vec2,
+}
+
+impl TeamMeans {
+    /// Returns the means of a team, summed in the order of the robots' ids; `None` if no term with these weights is
+    /// reckoned from the robots' motion.
+    pub fn of(weights: &Reward, positions: &[Vec2], velocities: &[Vec2]) -> Option<TeamMeans> {
+        if [weights.energy, weights.cohesion, weights.matching] == [0.0; 3] {
+            return None;
+        }
+        let mean = |all: &[Vec2]| all.iter().fold(Vec2::zeros(), |sum, one| sum + *one) * (1.0 / all.len() as f32);
+        Some(TeamMeans { position: mean(positions), velocity: mean(velocities) })
+    }
+
+    /// Returns the penalty, zero or more, of a robot with this motion in a step: for its speed, for its distance from
+    /// the middle of the team, and for the difference of its velocity from the team's.
+    pub fn penalty(&self, weights: &Reward, own: &Motion) -> f32 {
+        let energy = weights.energy * own.velocity.norm_squared();
+        let cohesion = weights.cohesion * (own.position - self.position).norm();
+        let matching = weights.matching * (own.velocity - self.velocity).norm_squared();
+        weights.scale * (energy + cohesion + matching) * PERIOD.as_secs() as f32
+    }
 }
 
 /// Returns the penalty, zero or more, of every robot of a team in a step; `arrived` says which robots have arrived at
@@ -117,7 +147,7 @@ mod tests {
         let reward = Config::preset("robust").expect("it is a preset").reward;
         let from = |goals_near_walls, goal, position| {
             let weights = Reward { wall_proximity_m: 0.4, goals_near_walls, ..reward };
-            wall_proximity_m(&weights, &*passage, goal, position)
+            wall_proximity_m(&weights, passage.arena(), goal, position)
         };
         // The face of the wall is at y = 0.15.
         let (near, far) = (Vec2::new(1.0, 0.45), Vec2::new(1.0, 2.0));
@@ -125,6 +155,21 @@ mod tests {
         assert_eq!(from(true, near, Vec2::new(0.4, 0.4)), 0.4, "a robot that has not come near its goal");
         assert_eq!(from(true, far, far), 0.4);
         assert_eq!(from(false, near, near), 0.4);
+    }
+
+    #[test]
+    fn motion_costs_by_speed_by_distance_from_the_middle_and_by_difference_from_the_mean() {
+        let reward = Config::preset("robust").expect("it is a preset").reward;
+        let (positions, velocities) = ([Vec2::zeros(), Vec2::new(4.0, 0.0)], [Vec2::zeros(), Vec2::new(0.0, 2.0)]);
+        let own = Motion { position: positions[1], velocity: velocities[1] };
+        let cost = |weights: Reward| {
+            TeamMeans::of(&weights, &positions, &velocities).map_or(0.0, |means| means.penalty(&weights, &own))
+        };
+        let step_s = PERIOD.as_secs() as f32;
+        assert_eq!(cost(Reward { scale: 1.0, ..reward }), 0.0);
+        assert_eq!(cost(Reward { scale: 1.0, energy: 3.0, ..reward }), 3.0 * 4.0 * step_s);
+        assert_eq!(cost(Reward { scale: 1.0, cohesion: 3.0, ..reward }), 3.0 * 2.0 * step_s);
+        assert_eq!(cost(Reward { scale: 0.5, matching: 3.0, ..reward }), 0.5 * 3.0 * step_s);
     }
 
     #[test]

@@ -1,11 +1,11 @@
 //! Scaling of the groups in a configuration to a team of another size.
 
-use super::config::{Config, Reward};
+use super::config::Config;
 use murmurate::registry::Registry;
-use murmurate::scenario::{ScenarioError, Settings, Weights};
+use murmurate::scenario::{ScenarioError, Settings};
 
 impl Config {
-    /// Returns the configuration with the weights that the scenario gives to terms of the reward ([`Weights`]), and
+    /// Returns the configuration with the weights that the scenario gives to terms of the reward (`scenario::Weights`), and
     /// with the `groups` of the curriculum scaled: the team sizes of each sum to the configured number of robots, or to
     /// the scenario's default if none is configured. They keep their proportions if the scenario supports teams of
     /// these sizes; otherwise the robots are split in another way, or not at all.
@@ -25,20 +25,6 @@ impl Config {
             }
         }
         Ok(self)
-    }
-}
-
-impl Reward {
-    /// Returns the reward with the weights that a scenario gives to its terms.
-    pub fn weighted(self, weights: Weights) -> Reward {
-        Reward {
-            progress: weights.progress.unwrap_or(self.progress),
-            arrival: weights.arrival.unwrap_or(self.arrival),
-            time: weights.time.unwrap_or(self.time),
-            wall: weights.contact.unwrap_or(self.wall),
-            robot: weights.contact.unwrap_or(self.robot),
-            ..self
-        }
     }
 }
 

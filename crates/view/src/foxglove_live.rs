@@ -68,7 +68,8 @@ pub(super) async fn run(mut client: WebSocket, shared: &Shared) {
 }
 
 async fn serve(client: &mut WebSocket, shared: &Shared) -> Result<(), Error> {
-    let ground = Ground::of(&shared.scene);
+    let mut ground = Ground::of(&shared.scene);
+    let mut told = 0;
     let about = json!({ "op": "serverInfo", "name": "murmurate", "capabilities": [] });
     client.send(Message::text(about.to_string())).await?;
     client.send(Message::text(advertisement().to_string())).await?;
@@ -77,6 +78,9 @@ async fn serve(client: &mut WebSocket, shared: &Shared) -> Result<(), Error> {
         // From here on, no news is missed.
         let newer = shared.news.notified();
         let closing = shared.is_closing();
+        if let Some(status) = shared.status.newer(&mut told) {
+            ground.follow(&status);
+        }
         for (channel, subscription) in subscriptions.iter_mut().enumerate() {
             let Some((id, seen)) = subscription else { continue };
             let now = shared.began.elapsed();
@@ -153,6 +157,12 @@ struct Ground {
     hull_m: f64,
     scale_m: f32,
     walls: Vec<[f64; 4]>,
+    /// Walls and obstacles of each episode, where obstacles are drawn for each.
+    #[serde(default)]
+    drawn: Vec<Vec<[f64; 4]>>,
+    /// Number of the current episode, from 1; `None` while it is unknown.
+    #[serde(skip)]
+    episode: Option<usize>,
 }
 
 impl Ground {
@@ -160,6 +170,12 @@ impl Ground {
     fn of(scene: &str) -> Ground {
         let body = serde_json::from_str(scene).map(|mut message: Value| message["body"].take());
         body.and_then(serde_json::from_value).unwrap_or_default()
+    }
+
+    /// Takes the number of the episode from the status that a page gets.
+    fn follow(&mut self, status: &str) {
+        let message: Value = serde_json::from_str(status).unwrap_or_default();
+        self.episode = message["body"]["episode"].as_u64().and_then(|number| usize::try_from(number).ok());
     }
 
     /// Encodes a drawing of the team in an encoded snapshot.
@@ -216,7 +232,8 @@ impl Ground {
             size: size([far_x - x, far_y - y, height]),
             color: colour(GREY),
         };
-        let cubes = self.walls.iter().map(wall).collect();
+        let drawn = self.episode.and_then(|number| self.drawn.get(number.checked_sub(1)?));
+        let cubes = drawn.unwrap_or(&self.walls).iter().map(wall).collect();
         SceneEntity { id: "walls".to_owned(), cubes, ..SceneEntity::default() }
     }
 }

@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::scans::ScanForm;
 use murmurate::messages::geometry::Planar;
 use murmurate::messages::ids::RobotId;
-use murmurate::scenario::arena::Arena;
+use murmurate::scenario::arena::{Arena, KeepOut};
 
 /// Largest number of log lines that the live page gets.
 pub const LOG_LINES: usize = 40;
@@ -35,6 +35,8 @@ pub struct Scene {
     pub half_extent: [f32; 2],
     /// Walls and other solid blocks: smallest x and y, then largest x and y \[m\], world frame.
     pub walls: Vec<[f32; 4]>,
+    /// Walls and obstacles of each episode, where obstacles are drawn for each; empty where all episodes have `walls`.
+    pub drawn: Vec<Vec<[f32; 4]>>,
     /// Radius of a robot's hull \[m\].
     pub hull_m: f32,
     /// Communication range of the robots \[m\]; null if it is unlimited.
@@ -108,13 +110,9 @@ impl Scene {
     /// Encoded positions may be up to 2 m beyond the ground.
     pub fn of_arena(arena: &Arena) -> Scene {
         let half = arena.half_extent.to_array();
-        let wall = |block: &murmurate::scenario::arena::KeepOut| {
-            let ([x, y], [far_x, far_y]) = (block.min.to_array(), block.max.to_array());
-            [x, y, far_x, far_y]
-        };
         Scene {
             half_extent: half,
-            walls: arena.keep_outs.iter().map(wall).collect(),
+            walls: arena.keep_outs.iter().map(KeepOut::corners).collect(),
             hull_m: arena.robot_radius_m,
             scale_m: super::snapshot::scale_m(half[0].max(half[1]) + 2.0),
             control: "stop",

@@ -353,6 +353,7 @@ mod tests {
                 robot: RobotId(robot),
                 dynamics: Dynamics::default(),
                 range: CommRange::fixed(2.0),
+                point_ahead_m: 0.0,
                 every: 1,
                 channels: Bound::default(),
                 run: Box::new(Waiting { go_on: waits, steps: 0.0 }),

@@ -11,7 +11,7 @@ use crate::messages::wire::{Encoding, MAX_FLOATS, Phase, Round, all_sound};
 use crate::observation::{Bound, Dynamics, Known, Observation};
 use crate::policy::{Broadcast, Policy};
 use crate::random::Stream;
-use crate::scenario::Scenario;
+use crate::scenario::{Arena, Scenario};
 use crate::time::{Span, Time};
 
 /// Policies with which an Agent drives one of its robots, and the random streams of that robot.
@@ -22,6 +22,8 @@ pub struct RobotPolicies {
     pub dynamics: Dynamics,
     /// Communication range within which the robot hears the others of its Agent.
     pub range: CommRange,
+    /// Distance \[m\] of the point that the policies command ahead of the robot's centre.
+    pub point_ahead_m: f32,
     /// Number of control ticks from one step of the policy under test to the next; at least 1.
     pub every: u32,
     /// Channels that the policy under test takes.
@@ -39,6 +41,14 @@ pub struct RobotPolicies {
 }
 
 impl RobotPolicies {
+    /// Tells the policies the arena of the episode that begins, which is in the world frame. A policy sees the commanded
+    /// point, so the hull of a differential drive is wider for it.
+    pub(super) fn enter(&mut self, arena: &Arena) {
+        let arena = arena.about_point(self.point_ahead_m);
+        self.run.enter(&arena);
+        self.reset.enter(&arena);
+    }
+
     /// Returns the policy that is used in `phase`.
     pub(super) fn of(&mut self, phase: Phase) -> &mut dyn Policy {
         if phase == Phase::Running { &mut *self.run } else { &mut *self.reset }

@@ -70,18 +70,7 @@ impl LinkEmulator {
         frame: &Frame,
         arrivals: &mut Vec<(Time, Frame)>,
     ) {
-        let mut at = now;
-        if self.impairment.kinds.contains(&kind) {
-            if self.impairment.loss > 0.0 && self.stream.random_bool(self.impairment.loss) {
-                return;
-            }
-            at += self.impairment.delay;
-        }
-        let ManualLinkFault { cut, delay, loss } = self.manual;
-        if cut || loss > 0.0 && self.stream.random_bool(loss.min(1.0)) {
-            return;
-        }
-        at += delay;
+        let Some(at) = self.arrival(now, kind) else { return };
         let first = arrivals.len();
         arrivals.push((at, frame.clone()));
         for fault in self.faults.iter().filter(|fault| fault.hits(now, &self.began, kind, (from, to))) {
@@ -107,6 +96,33 @@ impl LinkEmulator {
                 }
             }
         }
+    }
+
+    /// Treats one frame with a message of the kind `kind` as one that no receiver uses: it draws the same random numbers
+    /// as `carry`, so that leaving the frame out changes nothing for others. Planned faults must not be on the link.
+    pub fn leave_out(&mut self, now: Time, kind: Kind) {
+        self.arrival(now, kind);
+    }
+
+    /// Returns whether random numbers are drawn for a frame with a message of this kind.
+    pub fn draws(&self, kind: Kind) -> bool {
+        self.impairment.loss > 0.0 && self.impairment.kinds.contains(&kind) || self.manual.loss > 0.0
+    }
+
+    /// Draws when a frame that is sent at `now` arrives, but for planned faults; `None` if it is lost.
+    fn arrival(&mut self, now: Time, kind: Kind) -> Option<Time> {
+        let mut at = now;
+        if self.impairment.kinds.contains(&kind) {
+            if self.impairment.loss > 0.0 && self.stream.random_bool(self.impairment.loss) {
+                return None;
+            }
+            at += self.impairment.delay;
+        }
+        let ManualLinkFault { cut, delay, loss } = self.manual;
+        if cut || loss > 0.0 && self.stream.random_bool(loss.min(1.0)) {
+            return None;
+        }
+        Some(at + delay)
     }
 }
 

@@ -15,7 +15,7 @@ use crate::messages::wire::{KINDS, Kind};
 use crate::net::media::emulator::LinkEmulator;
 use crate::net::media::radio::RadioCounts;
 use crate::net::media::reach::Reach;
-use crate::net::protocol::codec::{Content, Frame, first};
+use crate::net::protocol::codec::{self, Content, Frame, first};
 use crate::net::protocol::router::Audience;
 use crate::net::transport::Transmit;
 use crate::time::Time;
@@ -25,7 +25,7 @@ use crate::time::Time;
 pub enum In {
     /// Frame to carry, with its receivers.
     Transmit(Transmit),
-    /// True positions of the robots, from a World. Sent only if the range of the link is limited.
+    /// True positions of the robots, from a World. Sent only if what the link carries depends on them.
     Truth(Truth),
     /// Number of the episode that begins, for faults that are timed from it.
     EpisodeBegins(u32),
@@ -51,6 +51,9 @@ pub struct Ether {
     radio: Option<RadioLink>,
     /// Tells which hosts are in range of a sender; `None` if the range is unlimited. Not used with a radio.
     reach: Option<Reach>,
+    /// Tells which hosts are near enough to a sender that they may use its latents; `None` if all are. Not used with a
+    /// radio.
+    users: Option<Reach>,
     /// Numbers of the hosts that receive each kind of message, in the order of `KINDS`. One more entry has the hosts
     /// that receive any kind, for frames that contain only data of the link layer itself, such as acknowledgements.
     listeners: Vec<Arc<[u16]>>,
@@ -79,7 +82,14 @@ impl Ether {
         let all = by_kind.iter().flatten().copied().collect();
         let listeners = by_kind.into_iter().chain([all]).map(|hosts| hosts.into_iter().collect()).collect();
         let (in_flight, copies, reached) = (BTreeMap::new(), Vec::new(), Vec::new());
-        Ether { emulator, radio, reach, listeners, in_flight, departures: 0, copies, reached }
+        Ether { emulator, radio, reach, users: None, listeners, in_flight, departures: 0, copies, reached }
+    }
+
+    /// Returns the ether with knowledge of the hosts that may use each other's latents: a latent is not carried to
+    /// others, which would refuse it. So the work for a frame grows with the hosts near its sender, not with the team.
+    /// No fault must be planned on the link. It is ignored with a radio, whose frames take time for all.
+    pub fn with_users(self, users: Option<Reach>) -> Ether {
+        Ether { users, ..self }
     }
 
     fn transmit(&mut self, now: Time, transmit: &Transmit, out: &mut Vec<Out>) {
@@ -92,17 +102,28 @@ impl Ether {
             return radio.offer(now, transmit, kind, &self.listeners[index]);
         }
         let (from, listeners) = (transmit.from, &self.listeners[index]);
+        let is_latent = self.users.is_some() && codec::is_only(&transmit.frame, Kind::Latent);
+        let mut users = self.users.take();
+        let mut near = users.as_mut().filter(|_| is_latent);
         let mut reached = std::mem::take(&mut self.reached);
         reached.clear();
         match (transmit.audience, &mut self.reach) {
             (Audience::Host(to), Some(reach)) => reached.extend(Some(to).filter(|&to| reach.covers(from, to))),
             (Audience::Host(to), None) => reached.push(to),
             (Audience::All, Some(reach)) => reach.listeners(from, listeners, &mut reached),
-            (Audience::All, None) => reached.extend(listeners.iter().copied().map(HostId).filter(|&to| to != from)),
+            (Audience::All, None) => match near.as_mut().filter(|_| !self.emulator.draws(kind)) {
+                Some(near) => near.listeners(from, listeners, &mut reached),
+                None => reached.extend(listeners.iter().copied().map(HostId).filter(|&to| to != from)),
+            },
         }
         for &to in &reached {
-            self.carry(now, kind, (from, to), &transmit.frame, out);
+            if near.as_ref().is_none_or(|near| near.covers(from, to)) {
+                self.carry(now, kind, (from, to), &transmit.frame, out);
+            } else {
+                self.emulator.leave_out(now, kind);
+            }
         }
+        self.users = users;
         self.reached = reached;
     }
 
@@ -128,7 +149,7 @@ impl Core for Ether {
             In::Transmit(transmit) => self.transmit(now, &transmit, out),
             In::Truth(truth) => {
                 self.radio.iter_mut().for_each(|radio| radio.locate(&truth));
-                self.reach.iter_mut().for_each(|reach| reach.locate(&truth));
+                self.reach.iter_mut().chain(&mut self.users).for_each(|reach| reach.locate(&truth));
             }
             In::EpisodeBegins(episode) => self.emulator.begin(now, episode),
             In::Manual(fault) => self.emulator.set_manual(fault),

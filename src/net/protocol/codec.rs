@@ -330,6 +330,13 @@ pub fn first(datagram: &[u8]) -> Result<Content, DecodeError> {
     split(datagram.get(HEADER_BYTES..).unwrap_or_default()).map(|(content, ..)| content)
 }
 
+/// Returns whether a datagram consists of one message of this kind alone, without a tag.
+pub fn is_only(datagram: &[u8], kind: Kind) -> bool {
+    let plain = peek(datagram).is_ok_and(|header| !header.flags.has(Flags::TAGGED));
+    let mut blocks = blocks(datagram);
+    plain && matches!((blocks.next(), blocks.next()), (Some(Ok((Content::Message(of), _))), None) if of == kind)
+}
+
 /// Returns a datagram with the page `page` of a roster (`roster`) from the sender `me`. It has no number and no tag:
 /// the roster's own signature is checked.
 pub fn with_roster(me: &Header, page: &[u8]) -> Frame {

@@ -52,6 +52,8 @@ pub struct Fields {
     pub start: Option<Shape>,
     /// Area to which the team goes, and in which it starts the next episode.
     pub goal: Option<Shape>,
+    /// Area in which every robot gets another place in each episode.
+    pub area: Option<Shape>,
     /// Areas among which the robots are shared out: in each episode every robot goes to another one.
     pub exchange: Option<Vec<Shape>>,
     /// Places \[m\] of which each robot has one, and in each episode gets that of another.
@@ -90,7 +92,7 @@ pub enum Shape {
     Points(Vec<[f32; 2]>),
 }
 
-/// Rectangular obstacles of one size, which are drawn within bounds.
+/// Rectangular obstacles of one size, which are drawn within bounds: once, or for each episode.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Obstacles {
@@ -100,9 +102,12 @@ pub struct Obstacles {
     pub size_m: [f32; 2],
     /// Bounds within which they lie \[m\]: smallest x and y, then largest x and y.
     pub within: [f32; 4],
-    /// Seed of the draw. The obstacles are the same in every run of the file.
+    /// Seed of the draw. Without `each_episode` the obstacles are the same in every run of the file.
     #[serde(default)]
     pub seed: u32,
+    /// Whether they are drawn anew for each episode, from the seed of the run too.
+    #[serde(default)]
+    pub each_episode: bool,
 }
 
 /// Criteria for success and failure of an episode.
@@ -208,15 +213,21 @@ impl Fields {
     fn check_areas(&self) -> Result<(), ConfigError> {
         let kinds = [
             ("start", self.start.is_some() || self.goal.is_some()),
+            ("area", self.area.is_some()),
             ("exchange", self.exchange.is_some()),
             ("places", self.places.is_some()),
         ];
         let given: Vec<&str> = kinds.iter().filter(|(_, given)| *given).map(|(field, _)| *field).collect();
         match given[..] {
-            [] => return Err(ConfigError::field("start", "it is missing: give start and goal, exchange, or places")),
+            [] => {
+                return Err(ConfigError::field(
+                    "start",
+                    "it is missing: give start and goal, area, exchange, or places",
+                ));
+            }
             [_] => {}
             [first, second, ..] => {
-                let why = format!("there is '{first}' already: give start and goal, exchange, or places");
+                let why = format!("there is '{first}' already: give start and goal, area, exchange, or places");
                 return Err(ConfigError::field(second, why));
             }
         }
@@ -226,7 +237,7 @@ impl Fields {
             (None, Some(_)) => missing("start")?,
             _ => {}
         }
-        for (field, area) in [("start", &self.start), ("goal", &self.goal)] {
+        for (field, area) in [("start", &self.start), ("goal", &self.goal), ("area", &self.area)] {
             area.iter().try_for_each(|area| area.check(field))?;
         }
         if let Some(areas) = &self.exchange {

@@ -30,6 +30,8 @@ use crate::time::Span;
 pub const ENDING: &str = ".toml";
 /// Number of draws of each obstacle, before there is no room for it.
 const TRIES: usize = 1000;
+/// Number of episodes for which obstacles are drawn to see whether there is room for them.
+const TRIED: u32 = 8;
 /// Free ground between a drawn obstacle and other blocks, in radii of the robots: that of a door.
 const FREE: f32 = 2.5;
 
@@ -45,6 +47,8 @@ pub struct TaskFile {
 struct FromFile {
     file: TaskFile,
     robots: usize,
+    /// Factor on the lengths in the file.
+    scale: f32,
     arena: Arena,
     places: Places,
     rules: Rules,
@@ -125,7 +129,10 @@ impl TaskFile {
         };
         let places = Places::of(&self.fields, size.scale);
         places.check(robots, &arena, rules.arrival_m).map_err(wrong)?;
-        Ok(Arc::new(FromFile { file: self.clone(), robots, arena, places, rules, ways: OnceLock::new() }))
+        let (file, scale, ways) = (self.clone(), size.scale, OnceLock::new());
+        let scenario = FromFile { file, robots, scale, arena, places, rules, ways };
+        scenario.check_obstacles().map_err(wrong)?;
+        Ok(Arc::new(scenario))
     }
 
     /// Returns the ground with its walls, the obstacles that are drawn, and the doors between them.
@@ -145,20 +152,27 @@ impl TaskFile {
             robot_radius_m: size.robot_radius_m(),
         };
         let given: Vec<Vec2> = self.points().into_iter().map(|point| point * size.scale).collect();
-        for (at, obstacles) in self.fields.obstacles.iter().enumerate() {
-            let bounds = rect(obstacles.within);
+        for (at, obstacles) in self.drawn(false) {
             let stream = Seed::of_run(u64::from(obstacles.seed)).stream(&format!("task-file/obstacles/{at}"));
-            draw(&mut arena, (obstacles, stream), (bounds, size.scale), &given)
-                .ok_or_else(|| ConfigError::field(format!("obstacles[{at}]"), no_room(obstacles)))?;
+            let drawn = draw(&mut arena, (obstacles, stream), size.scale, &given);
+            if drawn < obstacles.count {
+                return Err(ConfigError::field(format!("obstacles[{at}]"), no_room(obstacles)));
+            }
         }
         arena.portals = doors::portals(&arena);
         Ok(arena)
     }
 
+    /// Returns the obstacles that are drawn for each episode, or those that are drawn once, each with its place in the
+    /// file.
+    fn drawn(&self, each_episode: bool) -> impl Iterator<Item = (usize, &Obstacles)> {
+        self.fields.obstacles.iter().enumerate().filter(move |(_, obstacles)| obstacles.each_episode == each_episode)
+    }
+
     /// Returns the places that the file gives one by one \[m\].
     fn points(&self) -> Vec<Vec2> {
-        let Fields { start, goal, exchange, places, .. } = &*self.fields;
-        let shapes = start.iter().chain(goal).chain(exchange.iter().flatten());
+        let Fields { start, goal, area, exchange, places, .. } = &*self.fields;
+        let shapes = start.iter().chain(goal).chain(area).chain(exchange.iter().flatten());
         let points = shapes.filter_map(|shape| match shape {
             Shape::Points(points) => Some(points),
             Shape::Rect(_) | Shape::Disc(_) => None,
@@ -171,29 +185,42 @@ fn no_room(obstacles: &Obstacles) -> String {
     format!("there is no room for {} of them between what else there is: take fewer or smaller ones", obstacles.count)
 }
 
-/// Adds obstacles to an arena, with free ground between them and around the places that are given; `None` if there is
-/// no room. The stream depends on the file alone, so all hosts draw the same.
-fn draw(
-    arena: &mut Arena,
-    (obstacles, mut stream): (&Obstacles, Stream),
-    (bounds, scale): (KeepOut, f32),
-    places: &[Vec2],
-) -> Option<()> {
+/// Adds obstacles to an arena, with free ground between them and around the places that are given. Returns their number,
+/// which is smaller than that in the file where there is no room for more.
+fn draw(arena: &mut Arena, (obstacles, mut stream): (&Obstacles, Stream), scale: f32, places: &[Vec2]) -> usize {
+    let [low, far] = [[0, 1], [2, 3]].map(|axes| Vec2::from(axes.map(|axis| obstacles.within[axis])) * scale);
     let size = Vec2::from(obstacles.size_m) * scale;
-    let room = (bounds.max - bounds.min - size).sup(&Vec2::zeros());
-    for _ in 0..obstacles.count {
-        let drawn = (0..TRIES).find_map(|_| {
+    let room = (far - low - size).sup(&Vec2::zeros());
+    for drawn in 0..obstacles.count {
+        let block = (0..TRIES).find_map(|_| {
             let share = Vec2::new(stream.random_range(0.0..=1.0), stream.random_range(0.0..=1.0));
-            let min = bounds.min + room.component_mul(&share);
+            let min = low + room.component_mul(&share);
             let block = KeepOut { min, max: min + size };
             let others = &arena.keep_outs;
             let is_free = others.iter().all(|other| apart_m(other, &block) >= FREE * arena.robot_radius_m)
                 && places.iter().all(|place| block.distance(*place) >= least_m(arena));
             is_free.then_some(block)
         });
-        arena.keep_outs.push(drawn?);
+        let Some(block) = block else { return drawn };
+        arena.keep_outs.push(block);
     }
-    Some(())
+    obstacles.count
+}
+
+impl FromFile {
+    /// Refuses obstacles for which many of the first episodes have no room.
+    fn check_obstacles(&self) -> Result<(), ConfigError> {
+        let Some((at, obstacles)) = self.file.drawn(true).next() else { return Ok(()) };
+        let wanted: usize = self.file.drawn(true).map(|(_, obstacles)| obstacles.count).sum();
+        let fixed = self.arena.keep_outs.len();
+        let is_full =
+            |episode| self.drawn_arena(0, episode).is_some_and(|arena| arena.keep_outs.len() == fixed + wanted);
+        let full = (0..TRIED).filter(|&episode| is_full(episode)).count();
+        if full < TRIED as usize / 2 {
+            return Err(ConfigError::field(format!("obstacles[{at}]"), no_room(obstacles)));
+        }
+        Ok(())
+    }
 }
 
 impl Scenario for FromFile {
@@ -209,8 +236,23 @@ impl Scenario for FromFile {
         &self.arena
     }
 
+    fn drawn_arena(&self, seed: u64, episode: u32) -> Option<Arena> {
+        self.file.drawn(true).next()?;
+        let tasks = self.tasks(seed, episode);
+        let places: Vec<Vec2> = tasks.iter().flat_map(|task| [task.start, task.goal]).collect();
+        let mut arena = self.arena.clone();
+        for (at, obstacles) in self.file.drawn(true) {
+            let name = format!("task-file/obstacles/{at}/{}/{episode}", obstacles.seed);
+            // Where the places of an episode leave no room for all of them, there are fewer.
+            draw(&mut arena, (obstacles, Seed::of_run(seed).stream(&name)), self.scale, &places);
+        }
+        arena.portals = doors::portals(&arena);
+        Some(arena)
+    }
+
     fn tasks(&self, seed: u64, episode: u32) -> Vec<Task> {
-        let placement = |index| self.places.placement((self.robots, &self.arena), seed, index);
+        let team = (self.robots, &self.arena, self.rules.arrival_m);
+        let placement = |index| self.places.placement(team, seed, index);
         let (starts, goals) = (placement(episode), placement(episode + 1));
         starts.into_iter().zip(goals).map(|(start, goal)| Task { start, goal }).collect()
     }

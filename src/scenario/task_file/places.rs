@@ -16,12 +16,18 @@ use crate::scenario::arena::Arena;
 
 /// Distance \[m\] by which a start is farther from its goal than robots arrive at, so that rounding does not decide.
 const BEYOND_M: f32 = 1e-3;
+/// Number of draws of a placement, before robots may be where they were.
+const TRIES: usize = 64;
+/// Number of placements that are drawn to see whether robots find other places.
+const TRIED: u32 = 8;
 
 /// Rule by which robots get their places.
 #[derive(Clone, Debug)]
 pub enum Places {
     /// The whole team goes from the first area to the second, and back in the next episode.
     Sides([Area; 2]),
+    /// Every robot gets another place of the area in each episode.
+    Within(Area),
     /// The robots are shared out among areas, and in each episode every robot goes to another one.
     Exchange(Vec<Area>),
     /// Each robot has one of these places \[m\], world frame, and in each episode gets that of another.
@@ -32,10 +38,13 @@ impl Places {
     /// Returns the places of a task file whose lengths are multiplied by `scale`.
     pub fn of(fields: &Fields, scale: f32) -> Places {
         let area = |shape: &Shape| Area::of(shape, scale);
-        match (&fields.start, &fields.goal, &fields.exchange, &fields.places) {
-            (Some(start), Some(goal), ..) => Places::Sides([area(start), area(goal)]),
-            (.., Some(areas), _) => Places::Exchange(areas.iter().map(area).collect()),
-            (.., Some(places)) => Places::Fixed(places.iter().map(|place| Vec2::from(*place) * scale).collect()),
+        match fields {
+            Fields { start: Some(start), goal: Some(goal), .. } => Places::Sides([area(start), area(goal)]),
+            Fields { area: Some(shape), .. } => Places::Within(area(shape)),
+            Fields { exchange: Some(areas), .. } => Places::Exchange(areas.iter().map(area).collect()),
+            Fields { places: Some(places), .. } => {
+                Places::Fixed(places.iter().map(|place| Vec2::from(*place) * scale).collect())
+            }
             _ => unreachable!("the fields have one of these: their check says so"),
         }
     }
@@ -49,6 +58,20 @@ impl Places {
                     check_area(field, area, robots, arena)?;
                 }
                 check_apart(("goal", "start"), areas[0].distance(&areas[1]), arrival_m + BEYOND_M)
+            }
+            Places::Within(area) => {
+                check_area("area", area, robots, arena)?;
+                let moves = |index| {
+                    let [before, after] =
+                        [index, index + 1].map(|at| self.placement((robots, arena, arrival_m), 0, at));
+                    before.iter().zip(&after).all(|(before, after)| (after - before).norm() > arrival_m)
+                };
+                if (0..TRIED).all(moves) {
+                    return Ok(());
+                }
+                let why =
+                    format!("robots there find no place farther than {arrival_m} m from their own: make it larger");
+                Err(ConfigError::field("area", why))
             }
             Places::Exchange(areas) => {
                 let field = |at: usize| format!("exchange[{at}]");
@@ -78,10 +101,27 @@ impl Places {
     }
 
     /// Returns the positions \[m\] of `robots` robots in the placement `index` of the run with this seed, world frame.
-    pub fn placement(&self, (robots, arena): (usize, &Arena), seed: u64, index: u32) -> Vec<Vec2> {
+    /// Robots arrive within `arrival_m` \[m\] of their goals.
+    pub fn placement(&self, (robots, arena, arrival_m): (usize, &Arena, f32), seed: u64, index: u32) -> Vec<Vec2> {
         let stream = |what: &str| Seed::of_run(seed).stream(&format!("task-file/{what}/{index}"));
         match self {
             Places::Sides(areas) => areas[index as usize % 2].draw(arena, robots, &mut stream("places")),
+            Places::Within(area) => {
+                let stream = &mut stream("places");
+                if index.is_multiple_of(2) {
+                    return area.draw(arena, robots, stream);
+                }
+                // Those before and after are drawn by themselves, so that each placement can be had without all others.
+                let beside = [index - 1, index + 1].map(|even| {
+                    let stream = &mut Seed::of_run(seed).stream(&format!("task-file/places/{even}"));
+                    area.draw(arena, robots, stream)
+                });
+                let farther = (0..TRIES).find_map(|_| {
+                    let drawn = area.draw(arena, robots, stream);
+                    exchanged(drawn, &beside, arrival_m + BEYOND_M)
+                });
+                farther.unwrap_or_else(|| area.draw(arena, robots, stream))
+            }
             Places::Exchange(areas) => {
                 let (order, shift) = (shuffled(seed, robots), shift(seed, index, areas.len()));
                 let mut places = vec![Vec2::zeros(); robots];
@@ -100,6 +140,21 @@ impl Places {
             }
         }
     }
+}
+
+/// Returns the places in an order in which each robot is at least `least_m` \[m\] from where it is in both placements
+/// `beside`; `None` if exchanges of two robots' places lead to none.
+fn exchanged(mut places: Vec<Vec2>, beside: &[Vec<Vec2>; 2], least_m: f32) -> Option<Vec<Vec2>> {
+    let suits = |robot: usize, place: Vec2| beside.iter().all(|other| (other[robot] - place).norm() >= least_m);
+    for robot in 0..places.len() {
+        if !suits(robot, places[robot]) {
+            let others = (0..places.len()).filter(|other| *other != robot);
+            let mut fits = others.filter(|&other| suits(robot, places[other]) && suits(other, places[robot]));
+            let other = fits.next()?;
+            places.swap(robot, other);
+        }
+    }
+    Some(places)
 }
 
 /// Returns the numbers below `count` in an order of the run with this seed.

@@ -126,7 +126,8 @@ impl Curve {
 
     /// Returns a text of one line about the last 20 iterations: return, success rate, and decisions per second.
     /// `decisions` is the number of all decisions so far.
-    pub fn summary(&self, decisions: u64) -> String {
+    /// `stages` is the number of stages of the curriculum.
+    pub fn summary(&self, decisions: u64, stages: usize) -> String {
         let Some(last) = self.rows.last() else { return String::new() };
         let recent = &self.rows[self.rows.len().saturating_sub(20)..];
         let per_s = recent[0..].first().map_or(0.0, |first| {
@@ -138,15 +139,23 @@ impl Curve {
             value.map_or("-".to_owned(), |value| format!("{:.*}", if factor > 1.0 { 0 } else { 2 }, factor * value))
         };
         format!(
-            "return {}, success {} %, {decisions} decisions, {:.1} k/s",
+            "stage {} of {stages}, return {}, success {} %, {decisions} decisions, {:.1} k/s",
+            last.stage + 1,
             shown(newest(|row| row.earned), 1.0),
             shown(newest(|row| row.success), 100.0),
             per_s / 1000.0
         )
     }
 
-    /// Plots success rate and return against the number of decisions, and returns the SVG. `scenario` is the name of
-    /// the scenario.
+    /// Returns the number of decisions, in millions, after which each stage of the curriculum but the first began, with
+    /// the number of the stage, from 2.
+    fn stages(&self) -> Vec<(f64, usize)> {
+        let changes = self.rows.windows(2).filter(|pair| pair[1].stage != pair[0].stage);
+        changes.map(|pair| (pair[0].decisions as f64 / 1e6, pair[1].stage + 1)).collect()
+    }
+
+    /// Plots success rate and return against the number of decisions, with marks where stages of the curriculum begin,
+    /// and returns the SVG. `scenario` is the name of the scenario.
     pub fn plot(&self, scenario: &str) -> Result<String> {
         let mut svg = String::new();
         {
@@ -159,17 +168,18 @@ impl Curve {
                     |row: &Row| Some((row.decisions as f64 / 1e6, pick(row).filter(|value| value.is_finite())?));
                 self.rows.iter().filter_map(point).collect()
             };
+            let stages = self.stages();
             let success = [
                 ("in training", smooth(&line(|row| Some(100.0 * f64::from(row.success))))),
                 ("evaluated, perfect messages", line(|row| Some(100.0 * row.perfect_success?))),
                 ("evaluated, as in training", line(|row| Some(100.0 * row.disturbed_success?))),
             ];
-            chart(&upper, &format!("Training '{scenario}'"), (last, 0.0..100.0), "success [%]", &success)?;
+            chart(&upper, &format!("Training '{scenario}'"), (last, 0.0..100.0), "success [%]", (&success, &stages))?;
             let earned = smooth(&line(|row| Some(f64::from(row.earned))));
             let low = earned.iter().map(|point| point.1).fold(f64::INFINITY, f64::min).clamp(-10.0, 0.0);
             let high = earned.iter().map(|point| point.1).fold(f64::NEG_INFINITY, f64::max).max(low + 0.1);
             let range = low - 0.05 * (high - low)..high + 0.05 * (high - low);
-            chart(&lower, "", (last, range), "return of a robot", &[("in training", earned)])?;
+            chart(&lower, "", (last, range), "return of a robot", (&[("in training", earned)], &stages))?;
             area.present()?;
         }
         Ok(svg)
@@ -178,12 +188,14 @@ impl Curve {
 
 pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 
+/// Draws lines against millions of decisions, up to `last`. Dashed lines with the numbers of `stages` mark where these
+/// begin.
 pub(super) fn chart(
     area: &Area,
     title: &str,
     (last, range): (f64, std::ops::Range<f64>),
     unit: &str,
-    lines: &[(&str, Vec<(f64, f64)>)],
+    (lines, stages): (&[(&str, Vec<(f64, f64)>)], &[(f64, usize)]),
 ) -> Result<()> {
     let (low, high) = (range.start, range.end);
     let mut chart = ChartBuilder::on(area)
@@ -195,6 +207,11 @@ pub(super) fn chart(
     let mesh = &mut chart.configure_mesh();
     mesh.x_desc("decisions [million]").y_desc(unit).label_style(("sans-serif", 17)).axis_desc_style(("sans-serif", 18));
     mesh.light_line_style(WHITE).draw()?;
+    for &(at, stage) in stages {
+        chart.draw_series(DashedLineSeries::new([(at, low), (at, high)], 6, 5, BLACK.mix(0.55).stroke_width(1)))?;
+        let name = Text::new(format!(" stage {stage}"), (at, high), ("sans-serif", 15).into_font().color(&BLACK));
+        chart.draw_series([name])?;
+    }
     for (index, (name, points)) in lines.iter().enumerate().filter(|(_, (_, points))| !points.is_empty()) {
         let colour = COLOURS[index % COLOURS.len()];
         // A diverging training has values outside the axes.

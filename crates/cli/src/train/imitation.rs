@@ -240,7 +240,7 @@ fn plot(scenario: &str, unit: &str, rows: &[Row]) -> Result<String> {
         };
         let draw = |area, title: &str, y: &str, points: Vec<(f64, f64)>| {
             let high = points.iter().map(|point| point.1).fold(1e-3, f64::max);
-            chart(area, title, (last, 0.0..1.05 * high), y, &[("in training", points)])
+            chart(area, title, (last, 0.0..1.05 * high), y, (&[("in training", points)], &[]))
         };
         let title = format!("Training '{scenario}' by imitation");
         draw(&upper, &title, "squared error of the acceleration", line(|row| f64::from(row.loss)))?;

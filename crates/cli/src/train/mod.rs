@@ -17,7 +17,7 @@ use clap::builder::PossibleValuesParser;
 use indicatif::{ProgressBar, ProgressStyle};
 use murmurate::config::shown::counted;
 use murmurate::registry::Registry;
-use murmurate_train::config::PRESETS;
+use murmurate_train::config::{Config, PRESETS};
 use murmurate_train::evaluate::{Scores, quick_evaluation};
 use murmurate_train::expectation;
 use murmurate_train::imitation::config::PRESET as PRESET_WITHOUT_GOALS;
@@ -164,6 +164,9 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     tracing::info!("training; Ctrl-C saves everything");
     if !args.quiet {
         note_unused_reward(&trainer);
+        if let Some(stages) = schedule(&trainer.plan().config, budget) {
+            talk(&stages);
+        }
     }
     let spent_s = curve.elapsed_s();
     let elapsed_s = || spent_s + began.elapsed().as_secs_f64();
@@ -195,7 +198,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         let scores = due.then(|| clock.time(Timed::Evaluation, || quick_evaluation(&trainer, EPISODES, threads)));
         curve.push(Row::new(elapsed_s(), progress, &metrics, scores.as_ref()));
         last = scores;
-        let summary = curve.summary(trainer.decisions());
+        let summary = curve.summary(trainer.decisions(), trainer.plan().config.curriculum.len());
         bar.set_position((progress * 1000.0) as u64);
         bar.set_message(summary.clone());
         if saved.elapsed() >= SAVE_EVERY {
@@ -221,6 +224,19 @@ fn note_unused_reward(trainer: &Trainer) {
         let name = &trainer.plan().scenario;
         talk(&format!("note: the reward of scenario '{name}' itself has weight 0 (reward.scenario) and is not used"));
     }
+}
+
+/// Returns a line about when the stages of the curriculum begin; `None` if there is only one.
+fn schedule(config: &Config, budget: Budget) -> Option<String> {
+    let (_, before) = config.curriculum.split_last()?;
+    let begins = |share: f64| match budget {
+        Budget::Minutes(minutes) => format!("{:.1} min", share * minutes),
+        Budget::Decisions(decisions) => format!("{:.2} M decisions", share * decisions as f64 / 1e6),
+    };
+    let ends: Vec<String> = before.iter().map(|stage| begins(stage.until)).collect();
+    let stages = config.curriculum.len();
+    (!ends.is_empty())
+        .then(|| format!("{stages} stages, the later ones from {} on; success drops as one begins", ends.join(", ")))
 }
 
 /// Notes how long an evaluation takes, from a part of one: a short training may have only the one at its end.

@@ -29,6 +29,7 @@ use murmurate::results::episode::Episode;
 use murmurate::runtime::clock::Clock;
 use murmurate::runtime::real::run_real;
 use murmurate::runtime::shell::Mailbox;
+use murmurate::scenario::layout::Layouts;
 
 use murmurate::time::{Span, Time};
 use murmurate_record::stage::Stage;
@@ -124,6 +125,7 @@ impl Page {
         let policy = team::policy(&some, registry).ok();
         let routes = Routes::of(deployment);
         let range_m = policy.as_ref().map(|policy| farthest_m(deployment, &policy.models));
+        let drawn = Layouts::of_scenario(&*scenario, some.seed, some.episodes).drawn_blocks();
         let scene = Scene {
             scenario: some.scenario.clone(),
             mode: deployment.mode.clone(),
@@ -134,6 +136,7 @@ impl Page {
             scans: scans(deployment, registry),
             hears_links: false,
             hears_results: events.is_some(),
+            drawn: drawn.clone(),
             ..Scene::of_arena(scenario.arena())
         };
         let homes = RobotId::team(deployment.robots).map(|robot| routes.agent_host(robot)).collect();
@@ -147,7 +150,8 @@ impl Page {
             began: Instant::now(),
             stage: {
                 let range_m = range_m.unwrap_or(f32::INFINITY);
-                Stage::of_team((deployment, &*scenario), scenario.arena().robot_radius_m, range_m)
+                let stage = Stage::of_team((deployment, &*scenario), scenario.arena().robot_radius_m, range_m);
+                Stage { drawn, ..stage }
             },
         })
     }

@@ -145,6 +145,7 @@ fn scene(trial: &Trial, policy: &str) -> Scene {
         },
         hears_links: true,
         hears_results: true,
+        drawn: trial.layouts.drawn_blocks(),
         ..Scene::of_arena(trial.scenario.arena())
     }
 }

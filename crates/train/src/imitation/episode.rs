@@ -18,8 +18,8 @@ use murmurate::policy::hops::hop::write_edge;
 use murmurate::policy::hops::manifest::Manifest;
 use murmurate::policy::{Model, Neighbour, Policy};
 use murmurate::random::Stream;
-use murmurate::scenario::Scenario;
 use murmurate::scenario::judge::{Judge, JudgedRobot, Judgement};
+use murmurate::scenario::{Arena, Scenario};
 use murmurate::time::Span;
 use murmurate::world::Physics;
 use murmurate::world::kinematic::{self, PERIOD};
@@ -225,7 +225,12 @@ pub fn run(
     let motion: Vec<Motion> = tasks.iter().map(placed).collect();
     let goals = tasks.iter().map(|task| task.goal).collect();
     let mut judge = Judge::new(scenario.rules(), goals).with_cost(scenario.cost());
-    let physics = Physics::published(scenario.arena());
+    let drawn = scenario.drawn_arena(layout.0, layout.1);
+    if let (Some(arena), Some(expert)) = (&drawn, &mut expert) {
+        expert.enter(arena);
+    }
+    let arena = drawn.as_ref().unwrap_or(scenario.arena());
+    let physics = Physics::published(arena);
     let mut world = World::new(&motion);
     let most = usize::from(most_age(setting.manifest));
     let (mut graph, silence) = (Graph::default(), vec![u8::MAX; robots * robots]);
@@ -249,7 +254,7 @@ pub fn run(
         if let Some(expert) = taught {
             steps.push(Step { motion: team.motion.clone(), first, heard, expert });
         }
-        world.step(scenario, &physics, &commands, &mut team.motion);
+        world.step(arena, &physics, &commands, &mut team.motion);
         after = after + PERIOD;
         if let Some(finding) = judge.update(after, &world.judged(&team.motion)) {
             return TaughtEpisode { steps, finding };
@@ -272,7 +277,7 @@ impl World {
         World { before: position.clone(), contacts: vec![Contacts::default(); motion.len()], position, velocity }
     }
 
-    fn step(&mut self, scenario: &dyn Scenario, physics: &Physics, commands: &[Vec2], motion: &mut [Motion]) {
+    fn step(&mut self, arena: &Arena, physics: &Physics, commands: &[Vec2], motion: &mut [Motion]) {
         let mut team = kinematic::TeamMotion {
             position: &mut self.position,
             velocity: &mut self.velocity,
@@ -280,7 +285,7 @@ impl World {
             contacts: &mut self.contacts,
             before: &mut self.before,
         };
-        kinematic::step(scenario.arena(), physics, commands, &mut team);
+        kinematic::step(arena, physics, commands, &mut team);
         for (robot, motion) in motion.iter_mut().enumerate() {
             *motion = Motion { position: self.position[robot], velocity: self.velocity[robot] };
         }

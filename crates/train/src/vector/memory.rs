@@ -9,7 +9,7 @@ use murmurate::messages::geometry::{Task, Vec2};
 use murmurate::messages::local::Contacts;
 use murmurate::random::Stream;
 use murmurate::safety::filter::Filter;
-use murmurate::scenario::KeepOut;
+use murmurate::scenario::{Arena, KeepOut};
 use murmurate::world::{Physics, Wheels};
 
 /// What an allocation costs beside its content \[bytes\].
@@ -28,7 +28,9 @@ impl Options {
         let messages =
             r * size(HISTORY_STEPS) * 4.0 * float + edges * size(size_of::<Option<u32>>() + size_of::<u32>());
         let episode = r * float + edges * 2.0 * float;
-        let walls = size(self.scenario.arena().keep_outs.len() * size_of::<KeepOut>());
+        let blocks = |arena: &Arena| arena.keep_outs.len() + 2 * arena.portals.len();
+        let drawn = self.scenario.drawn_arena(0, 0).map_or(0, |arena| blocks(&arena));
+        let walls = size((self.scenario.arena().keep_outs.len() + drawn) * size_of::<KeepOut>());
         let team = size(2 * size_of::<TrainingTeam>() + size_of::<Physics>() + size_of::<Stream>() + 8 * ALLOCATION)
             + messages
             + 2.0 * episode

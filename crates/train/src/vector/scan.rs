@@ -14,7 +14,7 @@ impl Chunk {
             let ahead = if sweep.around { scenario.frame(&environments.tasks[robot]).turn_angle(0.0) } else { heading };
             let pose = (environments.position[robot], heading, ahead);
             let others = range.clone().filter(|other| *other != robot).map(|other| environments.position[other]);
-            scanner.scan(scenario.arena(), pose, others, to);
+            scanner.scan(environments.arena(row), pose, others, to);
             scanner.disturb(&mut streams[row], to);
             to.iter_mut().for_each(|distance| *distance = distance.min(sweep.range_m));
         }
@@ -28,7 +28,8 @@ mod tests {
     use murmurate::chassis::DriveKind;
     use murmurate::messages::geometry::Vec2;
     use murmurate::observation::PolicyFrame;
-    use murmurate::senses::Settings;
+    use murmurate::scenario::{Settings, TaskFile};
+    use murmurate::senses::Settings as SenseSettings;
 
     use super::super::tests::{Memory, options};
     use super::super::{Content, Lidar, Options, VectorEnvironment};
@@ -36,7 +37,7 @@ mod tests {
     /// Lidar of four rays, the first one behind, with more settings.
     fn lidar(more: &str) -> Option<Lidar> {
         let table = format!("rays = 4\nrange_m = 1.5\n{more}").parse().expect("it is TOML");
-        Some(Lidar { name: "eyes".to_owned(), settings: Settings { kind: "lidar".to_owned(), table } })
+        Some(Lidar { name: "eyes".to_owned(), settings: SenseSettings { kind: "lidar".to_owned(), table } })
     }
 
     fn begun(options: Options) -> (VectorEnvironment, Memory) {
@@ -48,7 +49,7 @@ mod tests {
     /// Distance from a place in a direction to walls, rails and other robots, by small steps, at most 1.5 m.
     fn walked(environment: &VectorEnvironment, row: usize, robot: usize, angle: f32) -> f32 {
         let (all, row) = environment.place(row);
-        let (arena, range) = (all.scenario(row).arena(), all.teams[row].range());
+        let (arena, range) = (all.arena(row), all.teams[row].range());
         let solid = |point: Vec2| {
             let near = |other: usize| (all.position[other] - point).norm() <= arena.hull_m();
             let block = arena
@@ -85,6 +86,30 @@ mod tests {
             assert_eq!(memory.floats[5], memory.floats[6], "no episode has ended");
         }
         assert!(turned > 100 && near > 100, "{turned} {near}");
+    }
+
+    #[test]
+    fn scans_are_of_the_obstacles_of_each_episode() {
+        let text = include_str!("../../../../examples/tasks/navigation.toml");
+        let task = TaskFile::read(text).expect("it is sound");
+        let scenario = task.scenario(&Settings::of(3)).expect("it is sound");
+        let (mut environments, mut memory) =
+            begun(Options { scenario, lidar: lidar(""), ..options(40, 2, Content::Nothing) });
+        environments.begin(memory.buffers());
+        let mut near = 0;
+        // An episode has 20 steps, so each environment has obstacles of two episodes.
+        for _ in 0..30 {
+            environments.step(&[0.2; 40 * 3 * 2], &[], memory.buffers());
+            for (at, scan) in memory.floats[5].chunks_exact(4).enumerate() {
+                let robot = environments.place(at / 3).0.teams[environments.place(at / 3).1].first + at % 3;
+                for (ray, distance) in scan.iter().enumerate() {
+                    let walked = walked(&environments, at / 3, robot, FRAC_PI_2 * ray as f32 - PI);
+                    near += usize::from(*distance < 1.0);
+                    assert!((walked - distance).abs() < 3e-3, "robot {at}, ray {ray}: {walked} and {distance}");
+                }
+            }
+        }
+        assert!(near > 500, "{near}");
     }
 
     #[test]

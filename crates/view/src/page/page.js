@@ -120,8 +120,13 @@ function unheard() { return scene.record && scene.record.note || "links between 
 function reachWalls() {
   const edge = scene.half_extent.map(half => half + scene.hull_m);
   const to = (at, axis) => Math.abs(at) >= scene.half_extent[axis] - 1e-3 ? Math.sign(at) * edge[axis] : at;
-  scene.walls = scene.walls.map(([x, y, x2, y2]) => [to(x, 0), to(y, 1), to(x2, 0), to(y2, 1)]);
+  const reach = walls => walls.map(([x, y, x2, y2]) => [to(x, 0), to(y, 1), to(x2, 0), to(y2, 1)]);
+  scene.walls = reach(scene.walls);
+  scene.drawn = scene.drawn.map(reach);
 }
+
+// Obstacles may be drawn for each episode; the state server's instructions say which one it is.
+function wallsNow() { return status && scene.drawn[status.episode - 1] || scene.walls; }
 
 // A record has no team to stop: the scrubber takes the place of the orders.
 function setUpRecord() {
@@ -380,7 +385,7 @@ function draw() {
   pen.lineWidth = pixel; pen.strokeStyle = colours.line;
   pen.strokeRect(-edge[0], -edge[1], 2 * edge[0], 2 * edge[1]);
   pen.fillStyle = colours.wall;
-  for (const [x, y, x2, y2] of scene.walls) pen.fillRect(x, y, x2 - x, y2 - y);
+  for (const [x, y, x2, y2] of wallsNow()) pen.fillRect(x, y, x2 - x, y2 - y);
   if (!world) return;
   const n = world.getUint16(2, true), at = positions(world, n);
   keepTrail(at);
