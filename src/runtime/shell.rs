@@ -219,7 +219,11 @@ impl<C: Core + 'static> Shell<C> {
         loop {
             let next = self.mailbox.0.queue.borrow_mut().pop_front();
             match next {
-                None => break,
+                None => {
+                    // The next messages then take the same places of memory, and not those after the last ones.
+                    self.mailbox.0.queue.borrow_mut().clear();
+                    break;
+                }
                 Some(Envelope::Deliver(input)) => self.take_in(now, input),
                 Some(Envelope::Inject(fault)) => {
                     self.clock.count_step();

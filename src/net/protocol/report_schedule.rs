@@ -67,7 +67,7 @@ impl ReportSchedule {
     ) -> Vec<Entry> {
         let waiting = candidates.waiting(now);
         let mut others: Vec<(u8, Time, &mut Sender, HostId)> = Vec::new();
-        for (&(host, _), sender) in senders.iter_mut() {
+        for ((host, _), sender) in senders.iter_mut() {
             let class = self.class(now, sender);
             let stamped = sender.stamp.is_some_and(|(_, at)| now.since(at) < FRESH);
             if stamped && (occasion == Occasion::Regular || class == 0) {

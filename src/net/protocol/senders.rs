@@ -2,7 +2,6 @@
 //! that the deployment does not know. A new guest may replace an old one, but never a host.
 
 use std::collections::BTreeMap;
-use std::collections::btree_map::IterMut;
 use std::ops::RangeInclusive;
 
 use super::router::Audience;
@@ -24,7 +23,8 @@ pub type SenderId = (HostId, u32);
 /// Table of the senders that are accepted on one link, of limited size.
 #[derive(Clone, Debug)]
 pub struct Senders {
-    all: BTreeMap<SenderId, Sender>,
+    /// State of each sender, by its identity. A state is large, and boxed, so that a search reads few lines of memory.
+    all: BTreeMap<SenderId, Box<Sender>>,
     first_guest: HostId,
     forgot: Time,
 }
@@ -43,22 +43,22 @@ impl Senders {
 
     /// Returns the state of a sender; `None` if it is not accepted.
     pub fn get(&self, id: SenderId) -> Option<&Sender> {
-        self.all.get(&id)
+        self.all.get(&id).map(|sender| &**sender)
     }
 
     /// Returns the state of a sender, to be changed; `None` if it is not accepted.
     pub fn get_mut(&mut self, id: SenderId) -> Option<&mut Sender> {
-        self.all.get_mut(&id)
+        self.all.get_mut(&id).map(|sender| &mut **sender)
     }
 
     /// Returns all accepted senders, to be changed.
-    pub fn iter_mut(&mut self) -> IterMut<'_, SenderId, Sender> {
-        self.all.iter_mut()
+    pub fn iter_mut(&mut self) -> impl Iterator<Item = (SenderId, &mut Sender)> {
+        self.all.iter_mut().map(|(id, sender)| (*id, &mut **sender))
     }
 
     /// Returns all accepted senders in the order of host and incarnation.
     pub fn iter(&self) -> impl Iterator<Item = (SenderId, &Sender)> {
-        self.all.iter().map(|(id, sender)| (*id, sender))
+        self.all.iter().map(|(id, sender)| (*id, &**sender))
     }
 
     /// Whether any incarnation of this host is accepted.
@@ -75,7 +75,7 @@ impl Senders {
 
     /// Adds an accepted sender to the table, or replaces its state.
     pub fn insert(&mut self, id: SenderId, sender: Sender) {
-        self.all.insert(id, sender);
+        self.all.insert(id, Box::new(sender));
     }
 
     /// Removes a sender from the table, so that it is no longer accepted.
@@ -95,8 +95,9 @@ impl Senders {
         let guests = || ids(self.first_guest, HostId(u16::MAX));
         let count = self.all.range(guests()).count();
         if host >= self.first_guest {
-            let silent =
-                |(_, sender): &(&SenderId, &Sender)| (sender.age(now).unwrap_or(Span::ZERO), now.since(sender.since));
+            let silent = |(_, sender): &(&SenderId, &Box<Sender>)| {
+                (sender.age(now).unwrap_or(Span::ZERO), now.since(sender.since))
+            };
             let leaves = self.all.range(guests()).max_by_key(silent).map(|(id, _)| *id);
             if let Some(id) = leaves.filter(|_| count >= MAX_GUESTS) {
                 self.remove(id);
