@@ -108,7 +108,8 @@ impl Controller {
         }
     }
 
-    /// Returns the Controller with the layouts of the trial: its guard keeps the robot from the obstacles of each episode.
+    /// Returns the Controller with the layouts of the trial: its guard keeps the robot from the obstacles of each
+    /// episode.
     pub fn with_layouts(self, layouts: Layouts) -> Controller {
         Controller { layouts, ..self }
     }

@@ -65,9 +65,10 @@ pub(super) fn wire_links(clock: &Clock, trial: &Trial, graph: &Graph, shared: bo
     }
 }
 
-/// Returns the distance \[m\] from its sender beyond which a latent on a link is of no use to any robot, so that it need
-/// not be carried there; `None` if it has to be carried everywhere: where robots may be mistaken about where they are,
-/// where ranges are drawn, where what was received is followed, and on ground so small that all are near each other.
+/// Returns the distance \[m\] from its sender beyond which a latent on a link is of no use to any robot, so that it
+/// need not be carried there; `None` if it has to be carried everywhere: where robots may be mistaken about where they
+/// are, where ranges are drawn, where what was received is followed, and on ground so small that all are near each
+/// other.
 ///
 /// Robots accept latents within their communication range. Between the World's step and the reception both robots move,
 /// and their measurements have noise.

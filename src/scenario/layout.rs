@@ -16,8 +16,8 @@ use crate::messages::geometry::{Task, Vec2, is_finite};
 /// count as equal.
 const CHAIN_M: f32 = 1e-3;
 
-/// Start and goal of every robot in every episode of a trial (a run of several episodes), and the arenas of the episodes
-/// where these differ.
+/// Start and goal of every robot in every episode of a trial (a run of several episodes), and the arenas of the
+/// episodes where these differ.
 #[derive(Clone, Debug, Default)]
 pub struct Layouts {
     episodes: Arc<[Vec<Task>]>,
@@ -137,14 +137,14 @@ impl Layouts {
         &self.episodes[episode as usize]
     }
 
-    /// Returns the arena of the episode with index `episode` (from zero), with the obstacles that are drawn for it; `None`
-    /// if all episodes have the arena of the scenario, or if there is no such episode.
+    /// Returns the arena of the episode with index `episode` (from zero), with the obstacles that are drawn for it;
+    /// `None` if all episodes have the arena of the scenario, or if there is no such episode.
     pub fn arena(&self, episode: u32) -> Option<&Arc<Arena>> {
         self.arenas.get(episode as usize)
     }
 
-    /// Returns the solid blocks of each episode: smallest x and y, then largest x and y \[m\], world frame. Empty if all
-    /// episodes have the arena of the scenario.
+    /// Returns the solid blocks of each episode: smallest x and y, then largest x and y \[m\], world frame. Empty if
+    /// all episodes have the arena of the scenario.
     pub fn drawn_blocks(&self) -> Vec<Vec<[f32; 4]>> {
         self.arenas.iter().map(|arena| arena.keep_outs.iter().map(KeepOut::corners).collect()).collect()
     }

@@ -82,8 +82,8 @@ pub trait Scenario: Debug + Send + Sync {
     fn arena(&self) -> &Arena;
 
     /// Returns the arena of an episode: that of `arena`, with the obstacles that are drawn for this episode alone.
-    /// `seed` is the seed of the run, and `episode` counts from 0. `None`, the default, means that every episode has the
-    /// arena of `arena`. It must not depend on the episode whether there is one.
+    /// `seed` is the seed of the run, and `episode` counts from 0. `None`, the default, means that every episode has
+    /// the arena of `arena`. It must not depend on the episode whether there is one.
     ///
     /// What is drawn leaves room for the robots: each start and goal of the episode is free.
     fn drawn_arena(&self, _seed: u64, _episode: u32) -> Option<Arena> {

@@ -93,9 +93,9 @@ pub trait Plant {
         self.place(robot, motion.position, heading);
     }
 
-    /// Takes the arena of the episode that begins, world frame, in place of the one with which the plant was made: other
-    /// solid blocks on the same ground. Returns whether the plant can do so. The default returns false, and a task whose
-    /// obstacles change between episodes is then refused.
+    /// Takes the arena of the episode that begins, world frame, in place of the one with which the plant was made:
+    /// other solid blocks on the same ground. Returns whether the plant can do so. The default returns false, and a
+    /// task whose obstacles change between episodes is then refused.
     fn enter(&mut self, _arena: &Arena) -> bool {
         false
     }

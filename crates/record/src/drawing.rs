@@ -46,8 +46,9 @@ fn point(at: Vec2, height_m: f64) -> [f64; 3] {
     [f64::from(at.x), f64::from(at.y), height_m]
 }
 
-/// Returns the entities of a Foxglove scene update for the walls of `stage` in an episode and the robots' `goals` \[m\],
-/// world frame, in the order of robot ids. `at` is the time of the update \[ns\], since 1970 or the start of a simulation.
+/// Returns the entities of a Foxglove scene update for the walls of `stage` in an episode and the robots' `goals`
+/// \[m\], world frame, in the order of robot ids. `at` is the time of the update \[ns\], since 1970 or the start of a
+/// simulation.
 pub fn walls_and_goals(at: u64, (stage, episode): (&Stage, u32), goals: &[Vec2]) -> [SceneEntity; 2] {
     let cube = |[x, y, far_x, far_y]: &[f32; 4]| {
         let (min, max) = (Vec2::new(*x, *y), Vec2::new(*far_x, *far_y));

@@ -97,8 +97,8 @@ impl Stage {
         }
     }
 
-    /// Returns the walls and obstacles in the episode with this index, from zero: smallest x and y, then largest x and y
-    /// \[m\], world frame.
+    /// Returns the walls and obstacles in the episode with this index, from zero: smallest x and y, then largest x and
+    /// y \[m\], world frame.
     pub fn walls_in(&self, episode: u32) -> &[[f32; 4]] {
         self.drawn.get(episode as usize).unwrap_or(&self.walls)
     }

@@ -40,8 +40,8 @@ pub fn has_reward(scenario: &dyn Scenario) -> bool {
     tasks.first().and_then(reward).is_some()
 }
 
-/// Returns the reward of one robot for a step in the arena of its episode: the terms with these `weights`, without those
-/// that depend on other robots' positions or rewards.
+/// Returns the reward of one robot for a step in the arena of its episode: the terms with these `weights`, without
+/// those that depend on other robots' positions or rewards.
 pub fn robot_reward(weights: &Reward, (scenario, arena): (&dyn Scenario, &Arena), step: RobotStep) -> f32 {
     let position = step.position;
     let mut reward = 0.0;

@@ -5,10 +5,10 @@ use murmurate::registry::Registry;
 use murmurate::scenario::{ScenarioError, Settings};
 
 impl Config {
-    /// Returns the configuration with the weights that the scenario gives to terms of the reward (`scenario::Weights`), and
-    /// with the `groups` of the curriculum scaled: the team sizes of each sum to the configured number of robots, or to
-    /// the scenario's default if none is configured. They keep their proportions if the scenario supports teams of
-    /// these sizes; otherwise the robots are split in another way, or not at all.
+    /// Returns the configuration with the weights that the scenario gives to terms of the reward (`scenario::Weights`),
+    /// and with the `groups` of the curriculum scaled: the team sizes of each sum to the configured number of robots,
+    /// or to the scenario's default if none is configured. They keep their proportions if the scenario supports teams
+    /// of these sizes; otherwise the robots are split in another way, or not at all.
     ///
     /// # Errors
     /// If there is no such scenario, or it does not support that number of robots.

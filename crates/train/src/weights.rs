@@ -1,5 +1,5 @@
-//! Weights of the terms of the reward, as a configuration has them: their ranges, and which of them a task, an episode or
-//! the size of the robots changes.
+//! Weights of the terms of the reward, as a configuration has them: their ranges, and which of them a task, an episode
+//! or the size of the robots changes.
 
 use serde::{Deserialize, Serialize};
 

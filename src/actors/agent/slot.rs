@@ -41,8 +41,8 @@ pub struct RobotPolicies {
 }
 
 impl RobotPolicies {
-    /// Tells the policies the arena of the episode that begins, which is in the world frame. A policy sees the commanded
-    /// point, so the hull of a differential drive is wider for it.
+    /// Tells the policies the arena of the episode that begins, in the world frame. A policy sees the commanded point,
+    /// so the hull of a differential drive is wider for it.
     pub(super) fn enter(&mut self, arena: &Arena) {
         let arena = arena.about_point(self.point_ahead_m);
         self.run.enter(&arena);

@@ -98,8 +98,9 @@ impl LinkEmulator {
         }
     }
 
-    /// Treats one frame with a message of the kind `kind` as one that no receiver uses: it draws the same random numbers
-    /// as `carry`, so that leaving the frame out changes nothing for others. Planned faults must not be on the link.
+    /// Treats one frame with a message of the kind `kind` as one that no receiver uses: it draws the same random
+    /// numbers as `carry`, so that leaving the frame out changes nothing for others. Planned faults must not be on the
+    /// link.
     pub fn leave_out(&mut self, now: Time, kind: Kind) {
         self.arrival(now, kind);
     }

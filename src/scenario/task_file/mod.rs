@@ -185,8 +185,8 @@ fn no_room(obstacles: &Obstacles) -> String {
     format!("there is no room for {} of them between what else there is: take fewer or smaller ones", obstacles.count)
 }
 
-/// Adds obstacles to an arena, with free ground between them and around the places that are given. Returns their number,
-/// which is smaller than that in the file where there is no room for more.
+/// Adds obstacles to an arena, with free ground between them and around the places that are given. Returns their
+/// number, which is smaller than that in the file where there is no room for more.
 fn draw(arena: &mut Arena, (obstacles, mut stream): (&Obstacles, Stream), scale: f32, places: &[Vec2]) -> usize {
     let [low, far] = [[0, 1], [2, 3]].map(|axes| Vec2::from(axes.map(|axis| obstacles.within[axis])) * scale);
     let size = Vec2::from(obstacles.size_m) * scale;

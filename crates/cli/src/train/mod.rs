@@ -163,10 +163,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
 
     tracing::info!("training; Ctrl-C saves everything");
     if !args.quiet {
-        note_unused_reward(&trainer);
-        if let Some(stages) = schedule(&trainer.plan().config, budget) {
-            talk(&stages);
-        }
+        announce(&trainer, budget);
     }
     let spent_s = curve.elapsed_s();
     let elapsed_s = || spent_s + began.elapsed().as_secs_f64();
@@ -218,8 +215,10 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     finish(args, &report, table, interrupted)
 }
 
-/// Says that the scenario has a reward of its own which the training does not use.
-fn note_unused_reward(trainer: &Trainer) {
+/// Says when the stages of the curriculum begin, and if the scenario has a reward of its own which the training does
+/// not use.
+fn announce(trainer: &Trainer, budget: Budget) {
+    schedule(&trainer.plan().config, budget).iter().for_each(|stages| talk(stages));
     if !trainer.uses_scenario_reward() && has_reward(&**trainer.scenario()) {
         let name = &trainer.plan().scenario;
         talk(&format!("note: the reward of scenario '{name}' itself has weight 0 (reward.scenario) and is not used"));
