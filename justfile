@@ -185,6 +185,11 @@ full-lab:
     TESTS_MUST=lab cargo test --release --features lab --test lab
     bash tests/peers/lab/full.sh target/release/murmurate
 
+# The baselines of coverage on 20 worlds of CoverageControl, beside the library's own: 2 % at the most. PYTHON is one for which
+# PyPI has coverage-control 1.3.1, such as 3.11 (25 minutes, network, 200 MB)
+full-coverage python="python3":
+    bash tests/peers/coverage/full.sh {{python}}
+
 # Failures from public reports, each as a script with its expected end. PYTHON is 3.11, for ROS 2 from PyPI
 # (30 minutes and 8 GB, root, apt: iproute2 nftables; an absent package is a failure)
 full-cases python="python3.11":

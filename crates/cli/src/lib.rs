@@ -73,6 +73,7 @@ const DIGESTS: &[&str] = &[
     murmurate_robot::DIGEST,
     murmurate_ros2::DIGEST,
     murmurate_study::DIGEST,
+    murmurate_tasks::DIGEST,
     murmurate_train::DIGEST,
     murmurate_view::DIGEST,
     murmurate_zenoh::DIGEST,

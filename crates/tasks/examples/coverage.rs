@@ -6,7 +6,8 @@
 //! ```
 //!
 //! With `--within`, the program fails if a mean differs by more than that share. With `--features`, densities are made
-//! from the worlds' Gaussians, and not read from the library's maps.
+//! from the worlds' Gaussians, and not read from the library's maps. With `--never-rest`, robots go on where the
+//! library lets them rest.
 
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -106,15 +107,17 @@ struct Flags {
     within: Option<f64>,
     /// Whether densities are made from the Gaussians, and not read.
     features: bool,
+    rest: Rest,
 }
 
 fn flags() -> Result<Flags, Box<dyn Error>> {
-    let mut flags = Flags { folder: PathBuf::new(), json: false, within: None, features: false };
+    let mut flags = Flags { folder: PathBuf::new(), json: false, within: None, features: false, rest: Rest::Places };
     let mut words = std::env::args().skip(1);
     while let Some(word) = words.next() {
         match word.as_str() {
             "--json" => flags.json = true,
             "--features" => flags.features = true,
+            "--never-rest" => flags.rest = Rest::Never,
             "--within" => flags.within = Some(words.next().ok_or("--within SHARE")?.parse()?),
             folder => flags.folder = folder.into(),
         }
@@ -149,7 +152,7 @@ fn compare(exported: &Exported, flags: &Flags) -> Result<Report, Box<dyn Error>>
         communication_m: written.communication_m,
         local_map_m: written.local_map_m,
         sensor_m: written.sensor_m,
-        rest: Rest::Places,
+        rest: flags.rest,
     };
     let grid = Grid { cells: (written.side_m / written.resolution_m).round() as usize, cell_m: written.resolution_m };
     let mut lines = Vec::new();

@@ -1,5 +1,5 @@
-//! Scripted controllers: each robot goes to the centroid of its Voronoi cell (Lloyd's method; Cortes et al. 2004,
-//! equation 6). The three differ in what is known, as in arXiv 2401.04855, section V:
+//! Scripted controllers: each robot goes to the centroid of its Voronoi cell (Lloyd's method, as a control law by
+//! Cortes et al. 2004). The three differ in what is known, as those of arXiv 2401.04855 do:
 //!
 //! - The clairvoyant one knows the whole density and all positions.
 //! - The centralised one knows what the team has seen so far, and all positions.
@@ -21,8 +21,8 @@ pub fn centralised(field: &Field, robots: &[Point], seen: &Seen) -> Vec<Point> {
     of_team(field, robots, Some(seen))
 }
 
-/// Returns the goal \[m\] of the robot at `own` if `seen` is what it has seen so far, `neighbours` are the places of the
-/// robots that it hears, and its local map is a square of side `local_map_m`.
+/// Returns the goal \[m\] of the robot at `own` if `seen` is what it has seen so far, `neighbours` are the places of
+/// the robots that it hears, and its local map is a square of side `local_map_m`.
 pub fn decentralised(field: &Field, own: Point, neighbours: &[Point], seen: &Seen, local_map_m: f64) -> Point {
     let window = field.grid().window(own, local_map_m);
     let cell = voronoi::own_moments(field, own, neighbours, seen, &window);
@@ -40,8 +40,8 @@ fn of_team(field: &Field, robots: &[Point], seen: Option<&Seen>) -> Vec<Point> {
     cells.iter().enumerate().map(goal).collect()
 }
 
-/// Returns the mean of the vertices of the Voronoi cell of a robot at `own` within a rectangle, by its corners; `own` if
-/// the cell is outside.
+/// Returns the mean of the vertices of the Voronoi cell of a robot at `own` within a rectangle, by its corners; `own`
+/// if the cell is outside.
 fn middle(own: Point, others: &[Point], corners: [Point; 2]) -> Point {
     let polygon = voronoi::vertices(own, others, corners[0], corners[1]);
     if polygon.is_empty() {

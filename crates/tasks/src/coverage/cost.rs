@@ -2,9 +2,8 @@
 
 use super::{Point, field::Field, voronoi::partition};
 
-/// Returns the sum over all cells of density times squared distance \[m²\] from the cell's centre to the nearest robot
-/// (Cortes et al. 2004, equation 3, for squared distances; LPAC, arXiv 2401.04855, equation 2). Without any robot it is
-/// zero.
+/// Returns the sum over all cells of density times squared distance \[m²\] from the cell's centre to the nearest robot:
+/// the coverage cost of Cortes et al. 2004 and of arXiv 2401.04855, on a grid. Without any robot it is zero.
 pub fn cost(field: &Field, robots: &[Point]) -> f64 {
     let grid = field.grid();
     let mut of_robots = vec![0.0; robots.len()];
@@ -19,8 +18,8 @@ pub fn cost(field: &Field, robots: &[Point]) -> f64 {
     of_robots.iter().sum()
 }
 
-/// Returns `cost` relative to `first`, the cost at the start of an episode. Where there was no cost, there is nothing to
-/// gain: it is 1.
+/// Returns `cost` relative to `first`, the cost at the start of an episode. Where there was no cost, there is nothing
+/// to gain: it is 1.
 pub fn normalised(cost: f64, first: f64) -> f64 {
     if first > 0.0 { cost / first } else { 1.0 }
 }

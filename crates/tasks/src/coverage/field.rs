@@ -31,8 +31,8 @@ pub struct Bounds {
 }
 
 impl Bounds {
-    /// Returns the bounds of the published benchmark: 32 Gaussians with deviations of 40 to 60 m, cut at two deviations
-    /// (arXiv 2401.04855, section V), with the library's default weights of 6 to 10.
+    /// Returns the bounds of the benchmark: 32 Gaussians with weights of 6 to 10, cut at two deviations, which are
+    /// defaults of CoverageControl 1.3.1, and deviations of 40 to 60 m, where the default is 40 to 50 m.
     pub fn published() -> Bounds {
         Bounds { features: 32, deviation_m: 40.0..60.0, weight: 6.0..10.0, truncation: 2.0 }
     }
@@ -138,8 +138,9 @@ impl Field {
     }
 
     /// Makes the density of a sum of Gaussians, scaled so that the largest density is 1. A cell gets a Gaussian's
-    /// integral over the cell if its centre is nearer to the mean than `truncation` deviations, and else nothing: so the
-    /// maps of CoverageControl are, by experiment (docs/coverage.md). Without any Gaussian the density is 0 everywhere.
+    /// integral over the cell if its centre is nearer to the mean than `truncation` deviations, and else nothing: so
+    /// the maps of CoverageControl are, by experiment (docs/coverage.md). Without any Gaussian the density is 0
+    /// everywhere.
     pub fn of_features(grid: Grid, features: &[Feature], truncation: f64) -> Result<Field, FieldError> {
         check_grid(grid)?;
         let mut sums = vec![0.0; grid.cells * grid.cells];

@@ -4,9 +4,9 @@
 //! of density times squared distance to the nearest robot. Robots do not know the density: each senses the cells
 //! around it ([`seen`]). Scripted controllers drive each robot to the centroid of its Voronoi cell ([`voronoi`],
 //! [`baselines`]), after Cortes, Martinez, Karatas and Bullo, "Coverage control for mobile sensing networks", IEEE
-//! Transactions on Robotics and Automation 20 (2), 2004. The sizes are those of Agarwal, Muthukrishnan, Gosrich, Kumar
-//! and Ribeiro, "LPAC: Learnable Perception-Action-Communication Loops", arXiv 2401.04855. docs/coverage.md says how
-//! the results agree with those of its authors' library, CoverageControl.
+//! Transactions on Robotics and Automation 20 (2), 2004. The task is that of Agarwal, Muthukrishnan, Gosrich, Kumar and
+//! Ribeiro, "LPAC: Learnable Perception-Action-Communication Loops", arXiv 2401.04855. docs/coverage.md says how the
+//! results agree with those of its authors' library, CoverageControl.
 //!
 //! All places are \[m\], in the frame of the ground, whose lower corner is the origin.
 

@@ -38,8 +38,8 @@ pub enum Rest {
 }
 
 impl Parameters {
-    /// Returns the parameters of the published benchmark (arXiv 2401.04855, section V): ground of 1024 m, 5 m/s, steps
-    /// of 0.2 s, communication to 128 m, local maps of 256 m and sensors of 64 m.
+    /// Returns the parameters of the benchmark: robots of 5 m/s, communication to 128 m, local maps of 256 m and
+    /// sensors of 64 m, which are defaults of CoverageControl 1.3.1, and steps of 0.2 s, where the default is 1 s.
     pub fn published() -> Parameters {
         Parameters {
             step_s: 0.2,

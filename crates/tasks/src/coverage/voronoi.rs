@@ -1,8 +1,8 @@
 //! Voronoi cells on the grid: which cells are nearest to which robot, and their masses and centroids.
 //!
-//! In a row of the grid the squared distances to two robots differ by a linear function of y. So the cells of a row that
-//! are nearest to a robot are one range of columns, the robots' ranges are the lower envelope of lines, and each is
-//! found without a look at the cells. A cell as near to two robots belongs to the one with the larger y.
+//! In a row of the grid the squared distances to two robots differ by a linear function of y. So the cells of a row
+//! that are nearest to a robot are one range of columns, the robots' ranges are the lower envelope of lines, and each
+//! is found without a look at the cells. A cell as near to two robots belongs to the one with the larger y.
 
 use std::ops::Range;
 
@@ -13,8 +13,8 @@ use super::{
     seen::Seen,
 };
 
-/// Mass below which a Voronoi cell counts as empty. A mass of 1e-8 still counts in CoverageControl, and one of 1e-12 does
-/// not (by experiment, docs/coverage.md).
+/// Mass below which a Voronoi cell counts as empty. A mass of 1e-8 still counts in CoverageControl, and one of 1e-12
+/// does not (by experiment, docs/coverage.md).
 pub const EMPTY_MASS: f64 = 1e-10;
 
 /// Mass and first moment of a Voronoi cell.
@@ -46,8 +46,8 @@ struct Stretch {
     from_m: f64,
 }
 
-/// Calls `visit` with the index of each robot, a row and the range of its columns that are nearest to the robot, for all
-/// cells of `grid`, row after row and by ascending columns.
+/// Calls `visit` with the index of each robot, a row and the range of its columns that are nearest to the robot, for
+/// all cells of `grid`, row after row and by ascending columns.
 pub fn partition(grid: Grid, robots: &[Point], mut visit: impl FnMut(usize, usize, Range<usize>)) {
     let mut order: Vec<usize> = (0..robots.len()).collect();
     order.sort_by(|&one, &other| robots[one][1].total_cmp(&robots[other][1]).then(one.cmp(&other)));
@@ -125,8 +125,8 @@ pub fn own_columns(grid: Grid, row: usize, own: Point, others: &[Point], columns
     start..end.max(start)
 }
 
-/// Returns mass and first moment of each robot's Voronoi cell, in the order of `robots`; only of what is in `seen`, if it
-/// is given.
+/// Returns mass and first moment of each robot's Voronoi cell, in the order of `robots`; only of what is in `seen`, if
+/// it is given.
 pub fn moments(field: &Field, robots: &[Point], seen: Option<&Seen>) -> Vec<Moments> {
     let grid = field.grid();
     let mut all = vec![Moments::default(); robots.len()];
@@ -141,7 +141,8 @@ pub fn moments(field: &Field, robots: &[Point], seen: Option<&Seen>) -> Vec<Mome
     all
 }
 
-/// Returns mass and first moment of what is in `seen` and in `window`, and nearer to `own` than to every one of `others`.
+/// Returns mass and first moment of what is in `seen` and in `window`, and nearer to `own` than to every one of
+/// `others`.
 pub fn own_moments(field: &Field, own: Point, others: &[Point], seen: &Seen, window: &Window) -> Moments {
     let grid = field.grid();
     let mut own_cell = Moments::default();
