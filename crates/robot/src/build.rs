@@ -20,6 +20,7 @@ pub fn digest() -> &'static str {
         murmurate_devices::DIGEST,
         murmurate_onnx::DIGEST,
         murmurate_ros2::DIGEST,
+        murmurate_tasks::DIGEST,
         murmurate_zenoh::DIGEST,
         #[cfg(feature = "record")]
         murmurate_record::DIGEST,

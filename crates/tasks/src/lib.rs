@@ -3,5 +3,15 @@
 
 pub mod coverage;
 
+use murmurate::registry::Registry;
+
 /// Digest of this package's sources. Packages with equal digests behave equally.
 pub const DIGEST: &str = env!("SOURCE_DIGEST");
+
+/// Adds the scenarios and policies to a registry.
+pub fn add(registry: Registry) -> Registry {
+    registry
+        .with_scenario(coverage::scenario::COVERAGE)
+        .with_scenario(coverage::scenario::COVERAGE_TABLE)
+        .with_policy(coverage::policy::COVERAGE_CVT)
+}

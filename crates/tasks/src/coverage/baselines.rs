@@ -42,7 +42,7 @@ fn of_team(field: &Field, robots: &[Point], seen: Option<&Seen>) -> Vec<Point> {
 
 /// Returns the mean of the vertices of the Voronoi cell of a robot at `own` within a rectangle, by its corners; `own`
 /// if the cell is outside.
-fn middle(own: Point, others: &[Point], corners: [Point; 2]) -> Point {
+pub(super) fn middle(own: Point, others: &[Point], corners: [Point; 2]) -> Point {
     let polygon = voronoi::vertices(own, others, corners[0], corners[1]);
     if polygon.is_empty() {
         return own;

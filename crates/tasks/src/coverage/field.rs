@@ -4,7 +4,10 @@ use std::ops::Range;
 
 use murmurate::random::{RngExt, Stream};
 
-use super::{Point, grid::Grid};
+use super::{
+    Point,
+    grid::{Grid, Window},
+};
 
 /// Gaussian of a density.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -143,15 +146,14 @@ impl Field {
     /// everywhere.
     pub fn of_features(grid: Grid, features: &[Feature], truncation: f64) -> Result<Field, FieldError> {
         check_grid(grid)?;
-        let mut sums = vec![0.0; grid.cells * grid.cells];
         for (at, feature) in features.iter().enumerate() {
             let numbers = [feature.centre_m[0], feature.centre_m[1], feature.deviation_m, feature.weight];
             let finite = numbers.iter().all(|number| number.is_finite());
             if !finite || feature.deviation_m <= 0.0 || feature.weight < 0.0 {
                 return Err(FieldError::Feature { feature: at });
             }
-            add(grid, feature, truncation, &mut sums);
         }
+        let sums = integrals(grid, features, truncation, &grid.all());
         let most = sums.iter().copied().fold(0.0, f64::max);
         let scale = if most > 0.0 { 1.0 / most } else { 0.0 };
         Field::of_cells(grid, sums.into_iter().map(|sum| (sum * scale) as f32).collect())
@@ -180,10 +182,20 @@ fn check_grid(grid: Grid) -> Result<(), FieldError> {
     if sound { Ok(()) } else { Err(FieldError::Grid { cells: grid.cells, cell_m: grid.cell_m }) }
 }
 
-/// Adds the integrals of `feature` over the cells within its truncation to `sums`.
-fn add(grid: Grid, feature: &Feature, truncation: f64, sums: &mut [f64]) {
+/// Returns the integrals of a sum of Gaussians over the cells of `window`, row after row. A cell gets that of a Gaussian
+/// if its centre is nearer to the mean than `truncation` deviations.
+pub fn integrals(grid: Grid, features: &[Feature], truncation: f64, window: &Window) -> Vec<f64> {
+    let mut sums = vec![0.0; window.rows.len() * window.columns.len()];
+    for feature in features {
+        add(grid, feature, truncation, window, &mut sums);
+    }
+    sums
+}
+
+/// Adds the integrals of `feature` over the cells of `window` to `sums`.
+fn add(grid: Grid, feature: &Feature, truncation: f64, window: &Window, sums: &mut [f64]) {
     let radius_m = truncation * feature.deviation_m;
-    let window = grid.window(feature.centre_m, 2.0 * (radius_m + grid.cell_m));
+    let reached = grid.window(feature.centre_m, 2.0 * (radius_m + grid.cell_m)).within(window);
     // The integral over a cell is the product of those along the axes.
     let share = |axis: usize, index: usize| {
         let bound = |index: usize| {
@@ -192,14 +204,15 @@ fn add(grid: Grid, feature: &Feature, truncation: f64, sums: &mut [f64]) {
         };
         bound(index + 1) - bound(index)
     };
-    let columns: Vec<f64> = window.columns.clone().map(|column| share(1, column)).collect();
-    for row in window.rows {
+    let columns: Vec<f64> = reached.columns.clone().map(|column| share(1, column)).collect();
+    for row in reached.rows {
         let along_x = feature.weight * share(0, row);
         let dx_m = grid.centre_m(row) - feature.centre_m[0];
-        for (column, along_y) in window.columns.clone().zip(&columns) {
+        let of_row = &mut sums[(row - window.rows.start) * window.columns.len()..];
+        for (column, along_y) in reached.columns.clone().zip(&columns) {
             let dy_m = grid.centre_m(column) - feature.centre_m[1];
             if dx_m * dx_m + dy_m * dy_m < radius_m * radius_m {
-                sums[row * grid.cells + column] += along_x * along_y;
+                of_row[column - window.columns.start] += along_x * along_y;
             }
         }
     }

@@ -42,14 +42,29 @@ impl Grid {
     /// Returns the square window of side `side_m` around `at`, without its part outside the ground. Its middle is the
     /// corner of a cell that is nearest to `at`, as in CoverageControl (by experiment, docs/coverage.md).
     pub fn window(&self, at: Point, side_m: f64) -> Window {
-        let half = (side_m / self.cell_m / 2.0).round();
-        let along = |middle_m: f64| {
+        let half = self.half(side_m);
+        // A cast saturates: below the ground it gives 0.
+        let end = |end: f64| (end as usize).min(self.cells);
+        let [rows, columns] = at.map(|middle_m| {
             let middle = (middle_m / self.cell_m).round();
-            // A cast saturates: below the ground it gives 0.
-            let end = |end: f64| (end as usize).min(self.cells);
             end(middle - half)..end(middle + half)
-        };
-        Window { rows: along(at[0]), columns: along(at[1]) }
+        });
+        Window { rows, columns }
+    }
+
+    /// Returns how many cells of the square window of side `side_m` around `at` are below the ground, along each axis.
+    pub fn outside(&self, at: Point, side_m: f64) -> [usize; 2] {
+        at.map(|middle_m| (self.half(side_m) - (middle_m / self.cell_m).round()) as usize)
+    }
+
+    /// Returns the number of cells along an axis of a square window of side `side_m`.
+    pub fn across(&self, side_m: f64) -> usize {
+        2 * self.half(side_m) as usize
+    }
+
+    /// Returns half the number of cells along an axis of a square window of side `side_m`.
+    fn half(&self, side_m: f64) -> f64 {
+        (side_m / self.cell_m / 2.0).round()
     }
 
     /// Returns the number of cells along an axis whose centres are below `bound_m` \[m\]: the cells from 0 up to it.
@@ -68,6 +83,15 @@ impl Window {
     /// Returns whether the window has no cell.
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty() || self.columns.is_empty()
+    }
+
+    /// Returns the cells that both windows have.
+    pub fn within(&self, other: &Window) -> Window {
+        let both = |one: &Range<usize>, other: &Range<usize>| {
+            let start = one.start.max(other.start);
+            start..one.end.min(other.end).max(start)
+        };
+        Window { rows: both(&self.rows, &other.rows), columns: both(&self.columns, &other.columns) }
     }
 
     /// Returns the lower and the upper corner of the window \[m\], on the grid `grid`.
@@ -89,6 +113,12 @@ mod tests {
         assert_eq!((window.rows, window.columns), (468..532, 369..433));
         let window = GRID.window([10.2, 1020.7], 64.0);
         assert_eq!((window.rows, window.columns), (0..42, 989..1024));
+    }
+
+    #[test]
+    fn a_window_at_the_rim_says_what_it_lacks() {
+        assert_eq!((GRID.outside([10.2, 1020.7], 64.0), GRID.across(64.0)), ([22, 0], 64));
+        assert_eq!(GRID.outside([500.0, 0.0], 64.0), [0, 32]);
     }
 
     #[test]

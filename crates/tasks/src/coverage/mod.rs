@@ -14,9 +14,12 @@ pub mod baselines;
 pub mod cost;
 pub mod field;
 pub mod grid;
+pub mod policy;
 pub mod rest;
 pub mod run;
+pub mod scenario;
 pub mod seen;
+pub mod size;
 pub mod voronoi;
 
 /// Place on the ground \[m\], in the frame of the ground.

@@ -34,6 +34,13 @@ impl Moments {
         self.first[1] += sums.first;
     }
 
+    /// Adds one cell with its centre `at` \[m\].
+    pub(super) fn add_cell(&mut self, at: Point, density: f64) {
+        self.mass += density;
+        self.first[0] += density * at[0];
+        self.first[1] += density * at[1];
+    }
+
     /// Returns the centroid \[m\]; `None` if the cell is empty.
     pub fn centroid(&self) -> Option<Point> {
         (self.mass >= EMPTY_MASS).then(|| self.first.map(|first| first / self.mass))

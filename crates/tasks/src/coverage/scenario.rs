@@ -1,0 +1,229 @@
+//! Scenarios `coverage` and `coverage-table`: a team spreads over a ground so that what is important is near a robot.
+//!
+//! Robots have no goals. The goals of their tasks are the means of the Gaussians of the density instead, so that every
+//! part of a run knows the density of an episode from its tasks. A policy sees of it what a robot's sensor covers: the
+//! channel `density`.
+
+use std::sync::Arc;
+
+use murmurate::messages::geometry::{Motion, Task, Vec2};
+use murmurate::messages::local::Contacts;
+use murmurate::observation::{Channel, Known, PolicyFrame, Quantity, Unit};
+use murmurate::random::{RngExt, Seed};
+use murmurate::scenario::{Arena, Cost, Entry, Progress, Rules, Scenario, ScenarioError, Settings, TeamSizes};
+use murmurate::time::Span;
+
+use super::{
+    cost::cost,
+    field::{Field, integrals, place},
+    size::{PUBLISHED, Size, TABLE, TRUNCATION},
+};
+
+/// Entry of the scenario of the published size.
+pub const COVERAGE: Entry = Entry {
+    name: PUBLISHED.name,
+    about: "a team spreads over 1024 m so that what is important is near a robot; robots have no goals",
+    build: |settings| build(&PUBLISHED, settings, |team, goals| mean_square(&PUBLISHED, team, goals)),
+};
+
+/// Entry of the scenario for a table.
+pub const COVERAGE_TABLE: Entry = Entry {
+    name: TABLE.name,
+    about: "the same for a few small robots on 2 m",
+    build: |settings| build(&TABLE, settings, |team, goals| mean_square(&TABLE, team, goals)),
+};
+
+/// Name of the channel that has what a robot's sensor covers.
+pub const DENSITY: &str = "density";
+/// Radius that is kept free about a robot's centre, in radii of its hull, as in the library's own scenarios.
+const ROOM_PER_HULL: f32 = 1.5625;
+/// Share of the ground that robots may occupy with the room that they keep free, so that places for all are found soon.
+const CROWDED: f32 = 0.5;
+
+/// Scenario of coverage.
+#[derive(Debug)]
+struct Coverage {
+    size: &'static Size,
+    robots: usize,
+    hull_m: f32,
+    arena: Arena,
+    cost: fn(&[Motion], &[Vec2]) -> f64,
+}
+
+fn build(
+    size: &'static Size,
+    settings: &Settings,
+    cost: fn(&[Motion], &[Vec2]) -> f64,
+) -> Result<Arc<dyn Scenario>, ScenarioError> {
+    let refused = |field: &'static str, why: &str| {
+        Err(ScenarioError::Size { scenario: size.name.to_owned(), field, why: why.to_owned() })
+    };
+    let robots = TeamSizes::new(2, size.robots[1]).check(size.name, settings.robots.unwrap_or(size.robots[0]))?;
+    if let Some(gap_m) = settings.gap_m {
+        return Err(ScenarioError::Gap { scenario: size.name.to_owned(), gap_m, hint: "; it has no walls" });
+    }
+    if settings.scale.is_some_and(|scale| scale.to_bits() != 1.0_f32.to_bits()) {
+        return refused("scale", "has one scale; 'coverage' is of 1024 m, and 'coverage-table' of 2 m");
+    }
+    let hull_m = settings.hull_m.unwrap_or(size.hull_m);
+    let robot_radius_m = hull_m * ROOM_PER_HULL;
+    let half_m = size.grid.side_m() as f32 / 2.0 - robot_radius_m;
+    let occupied = robots as f32 * std::f32::consts::PI * 4.0 * robot_radius_m * robot_radius_m;
+    if half_m <= 0.0 || occupied > CROWDED * 4.0 * half_m * half_m {
+        return refused("hull_m", "has no room for so many robots of this hull: take fewer or smaller ones");
+    }
+    let arena = Arena { half_extent: Vec2::repeat(half_m), keep_outs: Vec::new(), portals: Vec::new(), robot_radius_m };
+    Ok(Arc::new(Coverage { size, robots, hull_m, arena, cost }))
+}
+
+/// Returns the mean squared distance \[m²\] of what is important from the nearest robot: the coverage cost relative to
+/// the sum of the density.
+fn mean_square(size: &Size, team: &[Motion], goals: &[Vec2]) -> f64 {
+    let features = size.features(goals.iter().copied());
+    let field = Field::of_features(size.grid, &features, TRUNCATION).expect("goals are places");
+    let mass: f64 = (0..size.grid.cells).map(|row| field.sums(row, 0..size.grid.cells).mass).sum();
+    let robots: Vec<_> = team.iter().map(|motion| size.on_ground(motion.position)).collect();
+    if mass > 0.0 { cost(&field, &robots) / mass } else { 0.0 }
+}
+
+/// Writes what the sensor of a robot covers: for each cell, the integral of the density over it, row after row; 0
+/// outside the ground. All are unknown while the task of a robot of the team is.
+fn sense(size: &Size, known: &Known, values: &mut [f32]) {
+    let Some(goals) = known.team.iter().map(|task| Some(task.as_ref()?.goal)).collect::<Option<Vec<Vec2>>>() else {
+        return values.fill(f32::NAN);
+    };
+    values.fill(0.0);
+    let at = size.on_ground(known.own.motion.position);
+    let window = size.grid.window(at, size.sensor_m);
+    let [below, left] = size.grid.outside(at, size.sensor_m);
+    let sums = integrals(size.grid, &size.features(goals.into_iter()), TRUNCATION, &window);
+    let across = size.grid.across(size.sensor_m);
+    for (row, sums) in sums.chunks_exact(window.columns.len().max(1)).enumerate() {
+        let written = &mut values[(below + row) * across + left..];
+        written.iter_mut().zip(sums).for_each(|(value, sum)| *value = *sum as f32);
+    }
+}
+
+impl Scenario for Coverage {
+    fn name(&self) -> &str {
+        self.size.name
+    }
+
+    fn robots(&self) -> usize {
+        self.robots
+    }
+
+    fn arena(&self) -> &Arena {
+        &self.arena
+    }
+
+    fn tasks(&self, seed: u64, episode: u32) -> Vec<Task> {
+        let mut stream = Seed::of_run(seed).stream(&format!("coverage/layout/{episode}"));
+        let half_m = self.arena.half_extent.x;
+        let apart_m = 2.0 * self.arena.robot_radius_m * 1.001;
+        let mut starts: Vec<Vec2> = Vec::with_capacity(self.robots);
+        while starts.len() < self.robots {
+            let [x, y] = [stream.random_range(-half_m..half_m), stream.random_range(-half_m..half_m)];
+            let at = Vec2::new(x, y);
+            if starts.iter().all(|other| (other - at).norm() > apart_m) {
+                starts.push(at);
+            }
+        }
+        let goal = |start: Vec2| Task { start, goal: self.size.in_world(place(self.size.grid, &mut stream)) };
+        starts.into_iter().map(goal).collect()
+    }
+
+    fn cost(&self) -> Option<Cost> {
+        Some(Cost { name: "mean squared distance", unit: "m2", of: self.cost })
+    }
+
+    fn frame(&self, _: &Task) -> PolicyFrame {
+        PolicyFrame::World
+    }
+
+    fn channels(&self) -> Vec<Channel> {
+        let size = self.size;
+        let across = size.grid.across(size.sensor_m);
+        let about = "importance of each cell around the robot that its sensor covers, along x and then along y";
+        let form = (vec![across, across], Unit::One, Quantity::Number);
+        vec![Channel::new(DENSITY, about, form, move |known, values| sense(size, known, values))]
+    }
+
+    fn reached(&self, _: &Task, _: Vec2) -> bool {
+        false
+    }
+
+    fn distance_to_go(&self, _: &Task, _: Vec2) -> f32 {
+        0.0
+    }
+
+    fn reward(&self, _: &Task, _: &Motion, contacts: Contacts, _: &mut Progress) -> Option<f32> {
+        Some(if contacts.robot || contacts.wall { -1.0 } else { 0.0 })
+    }
+
+    fn rules(&self) -> Rules {
+        Rules { arrival_m: 0.0, separation_m: 2.0 * self.hull_m, limit: Span::from_secs(self.size.limit_s) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use murmurate::observation::Observation;
+    use murmurate::scenario::contract;
+
+    use super::*;
+
+    fn built(entry: &Entry) -> Arc<dyn Scenario> {
+        (entry.build)(&Settings::default()).expect("the default team")
+    }
+
+    #[test]
+    fn both_scenarios_keep_what_trials_and_training_require() {
+        for entry in [COVERAGE, COVERAGE_TABLE] {
+            contract::check(&entry).expect("a sound scenario");
+        }
+    }
+
+    #[test]
+    fn the_cost_falls_as_robots_go_to_what_is_important() {
+        let scenario = built(&COVERAGE_TABLE);
+        let tasks = scenario.tasks(1, 0);
+        let goals: Vec<Vec2> = tasks.iter().map(|task| task.goal).collect();
+        let cost = |places: &[Vec2]| {
+            let team: Vec<Motion> = places.iter().map(|at| Motion::at_rest(*at)).collect();
+            (scenario.cost().expect("it has no goals").of)(&team, &goals)
+        };
+        let starts: Vec<Vec2> = tasks.iter().map(|task| task.start).collect();
+        assert!(cost(&goals) < cost(&starts), "{} {}", cost(&goals), cost(&starts));
+        // With a robot at each mean, what remains is within the deviations.
+        assert!(cost(&goals) < 2.0 * 0.25 * 0.25);
+    }
+
+    #[test]
+    fn a_sensor_covers_the_cells_around_the_robot_and_none_outside_the_ground() {
+        let scenario = built(&COVERAGE_TABLE);
+        let team: Vec<Option<Task>> = scenario.tasks(1, 0).into_iter().map(Some).collect();
+        let task = team[0].expect("a task");
+        let sensed = |at: Vec2, team: &[Option<Task>]| {
+            let own = Observation::new(Motion::at_rest(at), task.goal);
+            let mut values = vec![f32::NAN; 100];
+            sense(&TABLE, &Known { task: &task, team, own: &own, sensed: &[] }, &mut values);
+            values
+        };
+        let there = sensed(task.goal, &team);
+        assert!(there[55] > 0.0 && there.iter().all(|value| value.is_finite()));
+        assert!(sensed(Vec2::new(-1.0, -1.0), &team)[..50].iter().all(|&value| value == 0.0));
+        assert!(sensed(Vec2::new(90.0, -1.0), &team).iter().all(|&value| value == 0.0));
+        let untold = [Some(task), None];
+        assert!(sensed(task.goal, &untold).iter().all(|value| value.is_nan()));
+    }
+
+    #[test]
+    fn what_does_not_fit_is_refused() {
+        let refused = |settings: Settings| (COVERAGE_TABLE.build)(&settings).expect_err("a refusal").to_string();
+        assert!(refused(Settings { scale: Some(2.0), ..Settings::default() }).contains("1024 m"));
+        assert!(refused(Settings { hull_m: Some(0.3), ..Settings::default() }).contains("smaller"));
+        assert!(refused(Settings::of(9)).contains("2 to 8"));
+        assert!(refused(Settings { gap_m: Some(1.0), ..Settings::default() }).contains("no walls"));
+    }
+}

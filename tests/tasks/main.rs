@@ -1,0 +1,3 @@
+//! Tests of the library of tasks: whole trials with its scenarios and policies.
+
+mod coverage;
