@@ -2,6 +2,7 @@
 
 * :class:`VecEnv`: many teams behind numpy buffers, with delay, loss and lag if asked for.
 * :func:`sim`: episodes of a policy in simulation, as the command ``murmurate sim`` runs them.
+* :class:`Scenario`: tasks in Python; :func:`check_scenario` tests one.
 * :func:`study`: studies, in one process, in several, or on a Ray cluster.
 * :func:`export`: policies of PyTorch and PyTorch Geometric as policy files.
 * :func:`export_graph`: any PyTorch module as a policy, an ONNX graph with a contract.
@@ -11,9 +12,11 @@
   environments for other tools.
 """
 
+from ._check import check_scenario
 from ._export import export
 from ._graph import export_graph
 from ._module import VecEnv, __version__
+from ._scenario import Scenario, State
 from ._sim import Results, sim
 from ._study import Study, study
 from ._train import Training, sweep, train
@@ -25,10 +28,13 @@ __all__ = [
     "Outputs",
     "Policy",
     "Results",
+    "Scenario",
+    "State",
     "Study",
     "Training",
     "VecEnv",
     "__version__",
+    "check_scenario",
     "export",
     "export_graph",
     "sim",

@@ -15,12 +15,13 @@ NO_MESSAGES = dict.fromkeys(("message", "message_size"), "no messages arrive her
 
 
 def seen(core: VecEnv, *, last: bool = False) -> np.ndarray:
-    """Returns a copy of what each robot observes (N, R, F + K): its observation, and the K distances of its lidar, if it has one.
+    """Returns a copy of what each robot observes (N, R, F + K): its observation, the distances of its lidar, and what the
+    method ``observe`` of a task in Python returns, if there are any.
 
     With ``last`` it is that before an automatic reset.
     """
-    obs, scan = (core.last_obs, core.last_scan) if last else (core.obs, core.scan)
-    return np.concatenate((obs, scan), axis=2) if scan.shape[2] else obs.copy()
+    parts = (core.last_obs, core.last_scan, core.last_observed) if last else (core.obs, core.scan, core.observed)
+    return np.concatenate([part for part in parts if part.shape[2]], axis=2)
 
 
 def refuse(options: Mapping[str, Any], why: Mapping[str, str]) -> None:

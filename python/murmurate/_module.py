@@ -5,11 +5,11 @@ from __future__ import annotations
 import importlib
 import importlib.metadata
 import pathlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from . import _murmurate
-    from ._murmurate import VecEnv, __version__, run_program, sim_json
+    from ._murmurate import VecEnv, __version__, broken_contract, run_program, sim_json, sim_task_json
 
 #: Group of entry points by which a package names a compiled module to be used in place of this package's own.
 GROUP = "murmurate"
@@ -42,8 +42,10 @@ VecEnv = _murmurate.VecEnv
 __version__ = _murmurate.__version__
 run_program = _murmurate.run_program
 sim_json = _murmurate.sim_json
+sim_task_json = _murmurate.sim_task_json
+broken_contract = _murmurate.broken_contract
 
 
-def restored(state: bytes) -> VecEnv:
+def restored(state: bytes, scenario: Any = None) -> VecEnv:
     """Makes environments that continue from a state: what a pickled :class:`VecEnv` calls where it is read."""
-    return VecEnv.from_state(state)
+    return VecEnv.from_state(state, scenario)

@@ -5,6 +5,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ._scenario import State, Task
+
 #: Version of the package.
 __version__: str
 
@@ -18,7 +20,8 @@ class VecEnv:
     ``step``, ``reset``, ``state`` and the like are for one thread at a time.
 
     Args:
-        scenario: Name of the task.
+        scenario: Name of the task, a task file, or a task in Python: an instance or a subclass of
+            :class:`murmurate.Scenario`.
         num_envs: Number of environments N.
         threads: Number of threads; the data do not depend on it.
         conditions: "perfect" (all robots act together on perfect messages), "late" (lag, delay, loss, noise, and robots
@@ -64,6 +67,9 @@ class VecEnv:
         scan: Distances along the K rays of each robot's lidar [m] (N, R, K), its range for no echo; (N, R, 0) without
             one. They are numbered in the policy frame if the rays go all around, else in the robot's own frame.
         last_scan: Distances (N, R, K) before an automatic reset: where an episode has ended, its last ones.
+        observed: What the method ``observe`` of a task in Python returns (N, R, K), after a reset where there was one;
+            (N, R, 0) for other tasks.
+        last_observed: That (N, R, K) before an automatic reset.
         scenario: Name of the task.
         num_envs: Number of environments N.
         num_robots: Number of robots R of each environment.
@@ -79,9 +85,10 @@ class VecEnv:
         observation_fields: Names of the entries of an observation, each with two floats [m].
 
     Raises:
-        ValueError: An argument is wrong; the message names it.
+        ValueError: An argument is wrong; the message names it, or class and attribute of a task in Python.
         MemoryError: There is less memory than the environments need, which is reckoned before they are made.
-        RuntimeError: Another thread is in a step, a reset or a state of the environment.
+        RuntimeError: Another thread is in a step, a reset or a state of the environment, or a method of a task in Python
+            has raised an exception; nothing has changed then.
     """
 
     obs: NDArray[np.float32]
@@ -95,6 +102,8 @@ class VecEnv:
     said: NDArray[np.float32]
     scan: NDArray[np.float32]
     last_scan: NDArray[np.float32]
+    observed: NDArray[np.float32]
+    last_observed: NDArray[np.float32]
     scenario: str
     num_envs: int
     num_robots: int
@@ -110,7 +119,7 @@ class VecEnv:
     observation_fields: list[str]
     def __init__(
         self,
-        scenario: str = "passage",
+        scenario: Task = "passage",
         num_envs: int = 1,
         *,
         threads: int = 1,
@@ -165,9 +174,12 @@ class VecEnv:
                 what differs. Nothing changes then.
         """
 
+    def truth(self) -> State:
+        """Returns the true states of all robots, world frame, after the last step or reset."""
+
     @staticmethod
-    def from_state(state: bytes) -> VecEnv:
-        """Makes environments that continue from a state, with its arguments.
+    def from_state(state: bytes, scenario: Task | None = None) -> VecEnv:
+        """Makes environments that continue from a state, with its arguments. A task in Python is given as ``scenario``.
 
         Raises:
             ValueError: The state is damaged or of another version of the package.
@@ -187,6 +199,22 @@ def sim_json(started_by: Sequence[str], arguments: Sequence[str]) -> str:
         RuntimeError: The simulation has failed.
         KeyboardInterrupt: Ctrl-C.
     """
+
+def sim_task_json(
+    started_by: Sequence[str], arguments: Sequence[str], task: object
+) -> tuple[str, list[tuple[int, int, float]]]:
+    """Runs ``murmurate sim`` with these arguments and a task in Python.
+
+    Returns its results as JSON, and for each judged episode the index of its repeat, its own, and its return.
+
+    Raises:
+        ValueError: A flag, a file, or what a method returns is wrong.
+        RuntimeError: The simulation has failed, or a method has raised an exception.
+        KeyboardInterrupt: Ctrl-C.
+    """
+
+def broken_contract(task: object) -> str | None:
+    """Runs the contract tests of scenarios for a task in Python. Returns the first broken promise; None if all hold."""
 
 def run_program(started_by: Sequence[str], arguments: Sequence[str]) -> int:
     """Runs ``murmurate`` with these arguments and returns its exit code.

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
+import math
 import os
+import pathlib
+import tempfile
+from collections.abc import Iterator
 from typing import Any
 
-from ._module import sim_json
+from ._bound import Bound, bound
+from ._module import VecEnv, sim_json, sim_task_json
 from ._program import child_of, words_of
+from ._scenario import Task
 from ._served import is_factory, is_object, served
 
 
@@ -31,6 +38,8 @@ class Results:
         timeouts: Episodes that ran out of time.
         aborted: Episodes that were aborted.
         trace_hash: Digest of all messages and motions; the command line prints the same for the same flags.
+        returns: Sum of the rewards of each judged episode, the mean of its robots, for a task in Python with a method
+            ``reward``; empty for others.
         report: Everything that ``murmurate sim --json`` prints.
     """
 
@@ -48,11 +57,17 @@ class Results:
     timeouts: int
     aborted: int
     trace_hash: str
+    returns: list[float]
     report: dict[str, Any] = dataclasses.field(repr=False)
+
+    @property
+    def mean_return(self) -> float | None:
+        """Mean of the returns; None without any."""
+        return math.fsum(self.returns) / len(self.returns) if self.returns else None
 
 
 def sim(
-    scenario: str = "passage",
+    scenario: Task = "passage",
     policy: Any = None,
     mode: str = "sim",
     **flags: Any,
@@ -64,7 +79,7 @@ def sim(
     on while it runs.
 
     Args:
-        scenario: Task of the team.
+        scenario: Task of the team: a name, a task file, or a task in Python (:class:`murmurate.Scenario`).
         policy: Name in the registry, a policy file, an object such as a :class:`Policy` with an attribute ``contract``,
             which is asked by one job, or a function without arguments that makes such an object for each job; None takes
             the shipped policy. One call has the inputs of all robots of an agent: in mode sim, of the team.
@@ -80,12 +95,40 @@ def sim(
             return dataclasses.replace(sim(scenario, file, mode, **flags), policy=name)
     if "deployment" not in flags:
         flags["mode"] = mode
-    words = ["--scenario", scenario]
+    task, returns = bound(scenario), []
     if policy is not None:
-        words += ["--policy", os.fspath(policy)]
-    words += words_of(flags)
-    report = json.loads(sim_json(child_of([]), words))
-    known = {field.name for field in dataclasses.fields(Results)} - {"report", "success_ci95"}
+        flags["policy"] = os.fspath(policy)
+    if task is None:
+        report = json.loads(sim_json(child_of([]), ["--scenario", os.fspath(scenario), *words_of(flags)]))
+    else:
+        if flags.get("record") and task.methods:
+            why = f"a record cannot hold the methods of {task.class_name}, so it could not be replayed; leave it out"
+            raise ValueError(f"record: {why}")
+        with _perceiving(task, flags) as words:
+            said, sums = sim_task_json(child_of([]), words, task)
+        report, returns = json.loads(said), [sum_ for _, _, sum_ in sums]
+    known = {field.name for field in dataclasses.fields(Results)} - {"report", "success_ci95", "returns"}
     return Results(
-        **{name: report[name] for name in known}, success_ci95=tuple(report["success_ci95"]), report=report
+        **{name: report[name] for name in known},
+        success_ci95=tuple(report["success_ci95"]),
+        returns=returns,
+        report=report,
     )
+
+
+@contextlib.contextmanager
+def _perceiving(task: Bound, flags: dict[str, Any]) -> Iterator[list[str]]:
+    """Yields the flags as words, with the sense ``observed`` if a policy file may take it and the task observes."""
+    named = "policy" not in flags or not ("." in flags["policy"] or os.sep in flags["policy"])
+    if named or "observe" not in task.methods:
+        yield words_of(flags)
+        return
+    floats = VecEnv(task, 1, num_robots=flags.get("robots")).observed.shape[2]
+    with tempfile.TemporaryDirectory() as folder:
+        file, others = pathlib.Path(folder, "senses.toml"), flags.get("senses")
+        try:
+            text = "" if others is None else pathlib.Path(others).read_text(encoding="utf-8")
+        except OSError as error:
+            raise ValueError(f"senses: '{others}': {error.strerror}") from None
+        file.write_text(f'{text}\n[senses.observed]\nkind = "task"\nfloats = {floats}\n', encoding="utf-8")
+        yield words_of({**flags, "senses": file})

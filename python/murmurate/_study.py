@@ -5,8 +5,10 @@ from __future__ import annotations
 import dataclasses
 import os
 import tempfile
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
+from ._bound import named
 from ._executors import Executor, run_all
 from ._program import report, words_of
 
@@ -65,6 +67,20 @@ def study(
         RuntimeError: The study has failed.
         KeyboardInterrupt: Ctrl-C; finished trials are in ``out``.
     """
+    with tempfile.TemporaryDirectory() as temporary:
+        if "scenario" in flags:
+            flags["scenario"] = named(flags["scenario"], temporary if out is None else out)
+        return _run(study, records, out, executor, workers, flags)
+
+
+def _run(
+    study: str,
+    records: Sequence[str | os.PathLike[str]],
+    out: str | os.PathLike[str] | None,
+    executor: Executor | None,
+    workers: int | None,
+    flags: Mapping[str, Any],
+) -> Study:
     words = ["study", study, *map(os.fspath, records), *words_of(flags)]
     if executor is None:
         return _of(report([*words, *words_of({"out": out})]))

@@ -11,8 +11,10 @@ import pathlib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from ._bound import named
 from ._executors import Executor, run_all
 from ._program import report, words_of
+from ._scenario import Task
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Training:
 
 
 def train(
-    scenario: str = "passage",
+    scenario: Task = "passage",
     *,
     out: str | os.PathLike[str],
     fields: Mapping[str, Any] | None = None,
@@ -55,7 +57,8 @@ def train(
     Every flag of ``murmurate train`` is a keyword, such as ``steps=1_000_000``, ``config="mine.toml"`` and ``seed=3``.
 
     Args:
-        scenario: Task of the team.
+        scenario: Task of the team: a name, a task file, or a task in Python without methods, of which ``out`` then has
+            the task file.
         out: Folder for policy, checkpoint, curve and configuration.
         fields: Fields of the configuration: ``{"ppo.clip": 0.1, "conditions.lag_s": [0.2, 0.4]}``.
         resume: Whether to go on from the checkpoint in ``out``; None goes on if there is one.
@@ -65,11 +68,11 @@ def train(
         RuntimeError: The training has failed, such as by divergence.
         KeyboardInterrupt: Ctrl-C; everything is saved, and the same call goes on from there.
     """
-    return _of(report(_words(scenario, pathlib.Path(out), fields or {}, resume, flags)))
+    return _of(report(_words(named(scenario, out), pathlib.Path(out), fields or {}, resume, flags)))
 
 
 def sweep(
-    scenario: str = "passage",
+    scenario: Task = "passage",
     *,
     out: str | os.PathLike[str],
     steps: int,
@@ -86,7 +89,8 @@ def sweep(
     Ctrl-C, with the same call. The weights do not depend on any of this.
 
     Args:
-        scenario: Task of the team.
+        scenario: Task of the team: a name, a task file, or a task in Python without methods, of which ``out`` then has
+            the task file.
         out: Folder for one folder a training; with ``executor="ray"`` on a disk that all machines share.
         steps: Number of decisions of each training.
         seeds: Seeds of the random numbers.
@@ -111,12 +115,13 @@ def sweep(
     for name in names:
         if len(name) > 200 or "/" in name:
             raise ValueError(f"over: '{name}' cannot be the name of a folder")
+    task = named(scenario, os.path.abspath(out))
     pathlib.Path(out).mkdir(parents=True, exist_ok=True)
     commands = []
     for name, point in zip(names, points):
         fields = {field: value for field, value in point.items() if field != "seed"}
         folder = pathlib.Path(os.path.abspath(out)) / name
-        words = _words(scenario, folder, fields, None, {**flags, "seed": point["seed"]})
+        words = _words(task, folder, fields, None, {**flags, "seed": point["seed"]})
         commands.append([*words, "--json", "--quiet"])
     said = run_all(commands, executor, workers)
     return [(point, _of(json.loads(one))) for point, one in zip(points, said)]

@@ -13,6 +13,7 @@ from torchrl.envs import EnvBase
 
 from ._faces import NO_MESSAGES, refuse
 from ._module import VecEnv
+from ._scenario import Task as Scenarios
 from .torchrl import Env
 
 
@@ -53,7 +54,7 @@ class Task(TaskClass):
     are those of a GNN of BenchMARL within the actor: they have no delay and no loss, whatever ``conditions`` are.
 
     Args:
-        scenario: Name of the scenario.
+        scenario: Name of the scenario, a task file, or a task in Python (:class:`murmurate.Scenario`).
         edges: Whether the group also has the keys ``position`` [m] and ``velocity`` [m/s], policy frame, of which a GNN of
             BenchMARL makes the features of edges (its ``position_key`` and ``velocity_key``).
         repeat: Number of steps of 50 ms for which an action is held; its rewards are added. Four learn faster than one. None
@@ -66,20 +67,24 @@ class Task(TaskClass):
 
     def __init__(
         self,
-        scenario: str = "passage",
+        scenario: Scenarios = "passage",
         *,
         edges: bool = False,
         repeat: int | None = None,
         **options: Any,
     ) -> None:
         refuse(options, NO_MESSAGES | dict.fromkeys(("num_envs", "autoreset", "seed"), "BenchMARL says it"))
-        super().__init__(scenario, {"edges": edges, "repeat": repeat} | options)
+        #: Name, file or task in Python.
+        self.scenario = scenario
+        # A name for logs.
+        name = scenario if isinstance(scenario, str) else VecEnv(scenario, 1, **{"repeat": repeat} | options).scenario
+        super().__init__(name, {"edges": edges, "repeat": repeat} | options)
         # Mistakes are named here, not when an experiment begins.
         self.environment()
 
     def environment(self, num_envs: int = 1) -> VecEnv:
         """Returns the environment of this task, as ``murmurate.export`` takes it for ``like``."""
-        return VecEnv(self.name, num_envs, **self._options())
+        return VecEnv(self.scenario, num_envs, **self._options())
 
     def _options(self) -> dict[str, Any]:
         return {name: value for name, value in self.config.items() if name != "edges"}
@@ -87,7 +92,7 @@ class Task(TaskClass):
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
     ) -> Callable[[], EnvBase]:
-        return lambda: _Env(self.name, num_envs, seed=seed, **self.config).to(device)
+        return lambda: _Env(self.scenario, num_envs, seed=seed, **self.config).to(device)
 
     def supports_continuous_actions(self) -> bool:
         return True

@@ -1,14 +1,13 @@
 """Teams as environments of Gymnasium (``pip install gymnasium``), for trainings with one flat policy a team.
 
 Observations and actions of a team's robots are joined; the reward is the mean of theirs. With a lidar (``senses``) its distances
-follow each robot's observation. Once this module is imported,
+follow each robot's observation, and so does what a task in Python observes. Once this module is imported,
 ``gymnasium.make`` and ``gymnasium.make_vec`` know ``murmurate/Passage-v0``, ``murmurate/Swap-v0`` and
 ``murmurate/Flocking-v0``; ``gymnasium.make("murmurate.gymnasium:murmurate/Passage-v0")`` imports it.
 """
 
 from __future__ import annotations
 
-import os
 from typing import Any
 
 import gymnasium
@@ -18,6 +17,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 from ._faces import NO_MESSAGES, Begun, action_of, refuse, seen
 from ._module import VecEnv
+from ._scenario import Task
 
 #: Treatment of an ended episode, as Gymnasium names it.
 MODES = {
@@ -34,7 +34,7 @@ NAMES = {"passage": "murmurate/Passage-v0", "swap": "murmurate/Swap-v0", "flocki
 def _spaces(core: VecEnv, first: tuple[int, ...] = ()) -> tuple[spaces.Box, spaces.Box]:
     """Spaces of a whole team's observations and actions."""
     robots, limit = core.num_robots, core.limit_m_s
-    floats = core.obs.shape[2] + core.scan.shape[2]
+    floats = core.obs.shape[2] + core.scan.shape[2] + core.observed.shape[2]
     observed = spaces.Box(-np.inf, np.inf, (*first, robots * floats), np.float32)
     return observed, spaces.Box(-limit, limit, (*first, 2 * robots), np.float32)
 
@@ -59,7 +59,7 @@ class TeamVectorEnv(VectorEnv):
 
     def __init__(
         self,
-        scenario: str | os.PathLike[str] = "passage",
+        scenario: Task = "passage",
         num_envs: int = 1,
         *,
         seed: int | None = None,
@@ -143,7 +143,7 @@ class TeamEnv(gymnasium.Env):
 
     def __init__(
         self,
-        scenario: str | os.PathLike[str] = "passage",
+        scenario: Task = "passage",
         *,
         seed: int | None = None,
         render_mode: str | None = None,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from pettingzoo import ParallelEnv
 
 from ._faces import NO_MESSAGES, Begun, action_of, refuse, seen
 from ._module import VecEnv
+from ._scenario import Task
 
 #: Arguments of :class:`murmurate.VecEnv` that are not for this face, and why.
 NOT_HERE = NO_MESSAGES | {
@@ -34,7 +34,7 @@ class parallel_env(ParallelEnv):
 
     def __init__(
         self,
-        scenario: str | os.PathLike[str] = "passage",
+        scenario: Task = "passage",
         *,
         seed: int | None = None,
         render_mode: str | None = None,

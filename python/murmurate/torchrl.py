@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import os
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from torchrl.envs import EnvBase
 
 from ._faces import Begun, refuse
 from ._module import VecEnv
+from ._scenario import Task
 
 
 class Env(EnvBase):
@@ -21,7 +21,8 @@ class Env(EnvBase):
 
     Keys are ``("agents", "observation")`` (N, R, F), ``("agents", "action")`` (N, R, 2), ``("agents", "reward")``
     (N, R, 1), and with messages ``("agents", "heard")``, ``("agents", "age")`` (N, R, R), ``("agents", "said")``
-    (N, R, R, M), by receiver and then by sender, and with a lidar (``senses``) ``("agents", "scan")`` (N, R, K). With ``message="action"`` the policy also writes
+    (N, R, R, M), by receiver and then by sender, and with a lidar (``senses``) ``("agents", "scan")`` (N, R, K), with a task in Python
+    that observes ``("agents", "observed")`` (N, R, K). With ``message="action"`` the policy also writes
     ``("agents", "message")`` (N, R, M). Arguments are those of :class:`murmurate.VecEnv`, without ``autoreset``. With
     ``seed=None``, the default, the seed is drawn. ``core`` is the :class:`murmurate.VecEnv` within. The environment runs on
     the processor; with ``.to(device)`` its tensors are on that device.
@@ -35,7 +36,7 @@ class Env(EnvBase):
 
     def __init__(
         self,
-        scenario: str | os.PathLike[str] = "passage",
+        scenario: Task = "passage",
         num_envs: int = 1,
         *,
         seed: int | None = None,
@@ -52,6 +53,8 @@ class Env(EnvBase):
         acted: dict[str, Any] = {"action": Bounded(-core.limit_m_s, core.limit_m_s, (n, r, 2))}
         if core.scan.shape[2]:
             observed["scan"] = Unbounded((n, r, core.scan.shape[2]))
+        if core.observed.shape[2]:
+            observed["observed"] = Unbounded((n, r, core.observed.shape[2]))
         if self._message:
             m = core.said.shape[3]
             observed["heard"] = Binary(n=r, shape=(n, r, r), dtype=torch.bool)
@@ -76,7 +79,8 @@ class Env(EnvBase):
         self._begun.reset(None if seed is None else int(seed))
 
     def _seen(self) -> dict[str, torch.Tensor]:
-        names = ["scan"] * bool(self.core.scan.shape[2]) + ["heard", "age", "said"] * bool(self._message)
+        names = [name for name in ("scan", "observed") if getattr(self.core, name).shape[2]]
+        names += ["heard", "age", "said"] * bool(self._message)
         keys = {"observation": "obs"} | {name: name for name in names}
         return {key: torch.from_numpy(getattr(self.core, name)).clone() for key, name in keys.items()}
 

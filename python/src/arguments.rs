@@ -1,6 +1,8 @@
 //! Arguments of `VecEnv`, from Python values to the settings of environments. A wrong one is a `ValueError` that begins
 //! with its name.
 
+use std::sync::Arc;
+
 use murmurate::deploy::senses_of;
 use murmurate::policy::manifest::Field;
 use murmurate::scenario::{Scenario, ScenarioError, Settings};
@@ -9,6 +11,8 @@ use murmurate_train::imitation::config::Config as Imitation;
 use murmurate_train::vector::{Autoreset, Content, Lidar, Options};
 use pyo3::exceptions::{PyUserWarning, PyValueError};
 use pyo3::prelude::*;
+
+use crate::task::PythonTask;
 
 /// Value of an argument, if it is given.
 pub type Given<'a, 'py> = Option<&'a Bound<'py, PyAny>>;
@@ -101,8 +105,8 @@ fn choice(argument: &str, given: Given, names: &[&str]) -> PyResult<usize> {
 
 impl Arguments<'_, '_> {
     /// Returns the settings that the arguments stand for; those that are left out are the configuration's. `seed` is
-    /// that of the random streams.
-    pub fn options(&self, py: Python<'_>, seed: u64) -> PyResult<Options> {
+    /// that of the random streams. Also returns the task in Python, if the scenario is one.
+    pub fn options(&self, py: Python<'_>, seed: u64) -> PyResult<(Options, Option<Arc<PythonTask>>)> {
         let count = |argument, given: Given, most| given.map(|value| whole(argument, value, 1, most)).transpose();
         let environments = count("num_envs", self.num_envs, 1 << 20)?.unwrap_or(1) as usize;
         let threads = count("threads", self.threads, 1024)?.unwrap_or(1) as usize;
@@ -114,14 +118,9 @@ impl Arguments<'_, '_> {
         let stage = self.stage(&config)?.cloned();
         let gap_m = self.gap_m.map(|gap_m| number("gap_m", gap_m, 1e-3, 1e3)).transpose()?;
         let gap_m = gap_m.or(stage.as_ref().and_then(|stage| stage.gap_m));
-        let name = self.scenario.map_or(Ok("passage".to_owned()), |name| text("scenario", name))?;
         let scale = self.scale.map(|scale| number("scale", scale, 1e-3, 1e3)).transpose()?.or(config.scale);
         let hull_m = self.hull_m.map(|hull_m| number("hull_m", hull_m, 1e-3, 1e3)).transpose()?.or(config.hull_m);
-        let scenario = crate::registry().scenario(&name, &Settings { robots, gap_m, scale, hull_m });
-        let scenario = scenario.map_err(|error| match error {
-            ScenarioError::Size { field, .. } => wrong(field, error),
-            _ => wrong("scenario", error),
-        })?;
+        let (scenario, task) = self.scenario(&Settings { robots, gap_m, scale, hull_m })?;
         let config = match self.config {
             None if scenario.cost().is_some() => without_goals(&*scenario, config),
             // A file says all weights itself.
@@ -163,7 +162,26 @@ impl Arguments<'_, '_> {
             seed,
         };
         options.check().map_err(|error| PyValueError::new_err(error.to_string()))?;
-        Ok(options)
+        Ok((options, task))
+    }
+
+    /// Returns the scenario of these settings, by its name or as a task in Python.
+    fn scenario(&self, settings: &Settings) -> PyResult<(Arc<dyn Scenario>, Option<Arc<PythonTask>>)> {
+        let task = self.scenario.map(PythonTask::of).transpose()?.flatten();
+        let made = match &task {
+            Some(task) => task.file()?.scenario(settings),
+            None => {
+                let name = self.scenario.map_or(Ok("passage".to_owned()), |name| text("scenario", name))?;
+                crate::registry().scenario(&name, settings)
+            }
+        };
+        let scenario = made.map_err(|error| match (&task, error) {
+            (Some(task), ScenarioError::TaskFile { error, .. }) => task.wrong(error),
+            (Some(_), error @ ScenarioError::Robots { .. }) => wrong("num_robots", error),
+            (_, error @ ScenarioError::Size { .. }) => wrong(error.field(), error),
+            (_, error) => wrong("scenario", error),
+        })?;
+        Ok((scenario, task))
     }
 
     /// Returns what messages between robots carry.

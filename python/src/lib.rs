@@ -6,6 +6,8 @@ mod arrays;
 mod memory;
 mod picture;
 mod program;
+mod task;
+mod tasked;
 mod vec_env;
 
 use std::sync::OnceLock;
@@ -28,6 +30,8 @@ pub fn fill(module: &Bound<'_, PyModule>, registry: Registry) -> PyResult<()> {
     assert!(REGISTRY.set(registry).is_ok(), "a process has one module of murmurate");
     module.add_class::<vec_env::VecEnv>()?;
     module.add_function(wrap_pyfunction!(program::sim_json, module)?)?;
+    module.add_function(wrap_pyfunction!(program::sim_task_json, module)?)?;
+    module.add_function(wrap_pyfunction!(program::broken_contract, module)?)?;
     module.add_function(wrap_pyfunction!(program::run_program, module)?)?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))
 }

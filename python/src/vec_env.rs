@@ -1,20 +1,22 @@
 //! The class `VecEnv`: a vectorised environment on numpy buffers that it owns.
 
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 
 use murmurate::policy::manifest::Field;
 use murmurate_train::vector::{Autoreset, Buffers, Content, Options, VectorEnvironment, options_of};
-use numpy::{PyArray1, PyArray3, PyArrayDyn, PyArrayMethods};
+use numpy::{PyArray1, PyArray3, PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
-use pyo3::types::PyBytes;
+use pyo3::types::{PyBytes, PyTuple};
 
 use crate::arguments::{Arguments, Given, Seed, whole, wrong};
 use crate::arrays::{Shapes, finite, opened, values, zeros};
 use crate::memory;
 use crate::picture::Picture;
+use crate::task::PythonTask;
+use crate::tasked::{Begins, core_of};
 
 /// Vectorised environment of one scenario: N teams of R robots each, advanced together, with results in numpy arrays
 /// that every step writes again. docs/python.md describes the arrays.
@@ -22,48 +24,57 @@ use crate::picture::Picture;
 /// Its attributes may be read at any time. A step, a reset or a state keeps out those of other threads meanwhile.
 #[pyclass(frozen, weakref, module = "murmurate")]
 pub struct VecEnv {
-    environments: Mutex<VectorEnvironment>,
+    pub(crate) environments: Mutex<VectorEnvironment>,
     /// Whether a thread works on the environments.
     busy: AtomicBool,
     /// Settings, but for the seed.
-    options: Options,
+    pub(crate) options: Options,
     /// Seed from which the random streams last began anew.
     seed: AtomicU64,
     /// Observations (N, R, F), float32: pairs of floats [m] or [m/s], policy frame, as `observation_fields` names them.
     #[pyo3(get)]
-    obs: Py<PyArrayDyn<f32>>,
+    pub(crate) obs: Py<PyArrayDyn<f32>>,
     /// Observations (N, R, F) before an automatic reset: where an episode has ended, its last ones.
     #[pyo3(get)]
-    last_obs: Py<PyArrayDyn<f32>>,
+    pub(crate) last_obs: Py<PyArrayDyn<f32>>,
     /// Rewards (N, R), float32.
     #[pyo3(get)]
-    reward: Py<PyArrayDyn<f32>>,
+    pub(crate) reward: Py<PyArrayDyn<f32>>,
     /// Whether all robots have arrived (N).
     #[pyo3(get)]
-    terminated: Py<PyArrayDyn<bool>>,
+    pub(crate) terminated: Py<PyArrayDyn<bool>>,
     /// Whether the time of the episode is over (N).
     #[pyo3(get)]
-    truncated: Py<PyArrayDyn<bool>>,
+    pub(crate) truncated: Py<PyArrayDyn<bool>>,
     /// Whether each robot has arrived (N, R).
     #[pyo3(get)]
-    arrived: Py<PyArrayDyn<bool>>,
+    pub(crate) arrived: Py<PyArrayDyn<bool>>,
     /// Whether a receiver uses a message of a sender (N, R, R), by receiver and then by sender; (0, R, R) without
     /// messages.
     #[pyo3(get)]
-    heard: Py<PyArrayDyn<bool>>,
+    pub(crate) heard: Py<PyArrayDyn<bool>>,
     /// Time since the message in use arrived [s] (N, R, R), by receiver and then by sender.
     #[pyo3(get)]
-    age: Py<PyArrayDyn<f32>>,
+    pub(crate) age: Py<PyArrayDyn<f32>>,
     /// Content of the message in use (N, R, R, M), by receiver and then by sender.
     #[pyo3(get)]
-    said: Py<PyArrayDyn<f32>>,
+    pub(crate) said: Py<PyArrayDyn<f32>>,
     /// Distances along the rays of each robot's lidar [m] (N, R, K), float32, its range for no echo; (N, R, 0) without
     /// one. Rays all around are numbered in the policy frame, others in the robot's own frame.
     #[pyo3(get)]
-    scan: Py<PyArrayDyn<f32>>,
+    pub(crate) scan: Py<PyArrayDyn<f32>>,
     /// Distances [m] (N, R, K) before an automatic reset: where an episode has ended, its last ones.
     #[pyo3(get)]
-    last_scan: Py<PyArrayDyn<f32>>,
+    pub(crate) last_scan: Py<PyArrayDyn<f32>>,
+    /// What the method `observe` of a task in Python returns (N, R, K), float32, after a reset where there was one;
+    /// (N, R, 0) without such a method.
+    #[pyo3(get)]
+    pub(crate) observed: Py<PyArrayDyn<f32>>,
+    /// What that method returns (N, R, K) before an automatic reset.
+    #[pyo3(get)]
+    pub(crate) last_observed: Py<PyArrayDyn<f32>>,
+    /// Task in Python; `None` for another scenario.
+    pub(crate) task: Option<Arc<PythonTask>>,
 }
 
 /// Mark that a thread works on the environments; dropping it takes it away.
@@ -113,12 +124,19 @@ macro_rules! with_buffers {
     }};
 }
 
+pub(crate) use with_buffers;
+
 /// Text of the error after a defect.
-const PANICKED: &str = "a step of this environment has panicked before, a defect of murmurate; make a new one";
+pub(crate) const PANICKED: &str =
+    "a step of this environment has panicked before, a defect of murmurate; make a new one";
 
 impl VecEnv {
     /// Returns these environments with buffers of their sizes, filled with zeros.
-    fn allocated(py: Python<'_>, environments: VectorEnvironment) -> PyResult<VecEnv> {
+    fn allocated(
+        py: Python<'_>,
+        environments: VectorEnvironment,
+        (task, observed): (Option<Arc<PythonTask>>, usize),
+    ) -> PyResult<VecEnv> {
         let options = environments.options().clone();
         let shapes = Shapes::of(&options);
         Ok(VecEnv {
@@ -137,15 +155,28 @@ impl VecEnv {
             said: zeros(py, &shapes.said)?,
             scan: zeros(py, &shapes.scan)?,
             last_scan: zeros(py, &shapes.scan)?,
+            observed: zeros(py, &[shapes.rows[0], shapes.rows[1], observed])?,
+            last_observed: zeros(py, &[shapes.rows[0], shapes.rows[1], observed])?,
+            task,
         })
     }
 
-    /// Makes environments, if there is memory for them.
-    fn made(py: Python<'_>, options: Options) -> PyResult<VecEnv> {
+    /// Makes environments, if there is memory for them, and fills their arrays.
+    pub(crate) fn made(py: Python<'_>, options: Options, task: Option<Arc<PythonTask>>) -> PyResult<VecEnv> {
         let what = format!("num_envs: {} environments of {} robots", options.environments, options.scenario.robots());
-        memory::ensure(&what, options.memory_bytes())?;
+        // A step of a task in Python keeps what was before it.
+        let copies = if task.as_ref().is_some_and(|task| task.has_methods()) { 2 } else { 1 };
+        memory::ensure(&what, copies * options.memory_bytes())?;
+        if let Some(task) = &task {
+            task.prepare(py, options.scenario.robots(), &options.first_layouts(options.seed))?;
+        }
         let environments = py.detach(|| VectorEnvironment::new(options));
-        VecEnv::allocated(py, environments)
+        let observed = crate::tasked::first_look(py, task.as_deref(), &environments)?;
+        let floats = observed.as_ref().map_or(Ok(0), |observed| observed.getattr("shape")?.get_item(2)?.extract())?;
+        let this = VecEnv::allocated(py, environments, (task, floats))?;
+        with_buffers!(this, py, |environments, buffers| environments.begin(buffers));
+        this.begin_observed(py, observed)?;
+        Ok(this)
     }
 
     /// Keeps out other threads until the result is dropped. If one works on the environments, that is an error.
@@ -215,9 +246,8 @@ impl VecEnv {
             hull_m,
             senses,
         };
-        let this = VecEnv::made(py, arguments.options(py, Seed::or_drawn(seed, py)?)?)?;
-        with_buffers!(this, py, |environments, buffers| environments.begin(buffers));
-        Ok(this)
+        let (options, task) = arguments.options(py, Seed::or_drawn(seed, py)?)?;
+        VecEnv::made(py, options, task)
     }
 
     /// Advances every environment by `repeat` steps of 50 ms. `actions` are velocities [m/s] in the policy frame,
@@ -239,7 +269,10 @@ impl VecEnv {
         };
         let words = said.as_ref().map_or(Ok(&[][..]), |said| said.as_slice())?;
         finite("messages", words)?;
-        with_buffers!(self, py, |environments, buffers| environments.step(actions, words, buffers));
+        match self.task.as_deref().filter(|task| task.has_methods()) {
+            Some(task) => self.step_task(py, task, (actions, words))?,
+            None => with_buffers!(self, py, |environments, buffers| environments.step(actions, words, buffers)),
+        }
         Ok(())
     }
 
@@ -253,12 +286,21 @@ impl VecEnv {
         match seed {
             Some(_) if mask.is_some() => Err(wrong("seed", "it is for all environments; leave mask out")),
             Some(Seed(seed)) => {
+                if let Some(task) = self.task.as_deref().filter(|task| task.has_methods()) {
+                    self.begin_task(py, task, Begins::Anew(seed))?;
+                    self.seed.store(seed, Ordering::Relaxed);
+                    return Ok(());
+                }
                 with_buffers!(self, py, |environments, buffers| environments.reseed(seed, buffers));
                 self.seed.store(seed, Ordering::Relaxed);
                 Ok(())
             }
             None => {
                 let chosen = |environment: usize| mask.is_none_or(|mask| mask[environment]);
+                if let Some(task) = self.task.as_deref().filter(|task| task.has_methods()) {
+                    let chosen: Vec<bool> = (0..self.num_envs()).map(chosen).collect();
+                    return self.begin_task(py, task, Begins::Chosen(&chosen));
+                }
                 with_buffers!(self, py, |environments, buffers| environments.reset(chosen, buffers));
                 Ok(())
             }
@@ -272,7 +314,16 @@ impl VecEnv {
         // The metadata, and then the whole.
         memory::ensure("state: it would", 2 * self.options.memory_bytes())?;
         let bytes = with_buffers!(self, py, |environments, buffers| environments.state(&buffers));
-        Ok(PyBytes::new(py, &bytes))
+        match self.task.as_deref().filter(|task| task.has_methods()) {
+            Some(_) => self.with_observed(py, &bytes),
+            None => Ok(PyBytes::new(py, &bytes)),
+        }
+    }
+
+    /// Returns the true states of all robots, world frame, after the last step or reset: a `murmurate.State`.
+    fn truth<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let _turn = self.turn("truth")?;
+        self.state_of(py, None)
     }
 
     /// Continues from a state of environments with the same arguments; `seed` and `threads` may differ. Nothing changes
@@ -287,11 +338,12 @@ impl VecEnv {
         let _turn = self.turn("copy")?;
         memory::ensure("copy: its environments", self.options.memory_bytes())?;
         let copied = with_buffers!(self, py, |environments, _buffers| environments.clone());
-        let copy = VecEnv::allocated(py, copied)?;
+        let floats = self.observed.bind(py).shape()[2];
+        let copy = VecEnv::allocated(py, copied, (self.task.clone(), floats))?;
         macro_rules! copied {
             ($($name:ident)*) => { $(self.$name.bind(py).copy_to(copy.$name.bind(py))?;)* };
         }
-        copied!(obs last_obs reward terminated truncated arrived heard age said scan last_scan);
+        copied!(obs last_obs reward terminated truncated arrived heard age said scan last_scan observed last_observed);
         Ok(copy)
     }
 
@@ -303,16 +355,26 @@ impl VecEnv {
         self.copy(py)
     }
 
-    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyBytes>,))> {
-        Ok((py.import("murmurate._module")?.getattr("restored")?, (self.state(py)?,)))
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let made = py.import("murmurate._module")?.getattr("restored")?;
+        let scenario = self.task.as_ref().map(|task| task.bound().bind(py).getattr("scenario")).transpose()?;
+        Ok((made, (self.state(py)?, scenario).into_pyobject(py)?))
     }
 
-    /// Makes environments from a state alone, with its scenario from the registry and its settings.
+    /// Makes environments from a state, with its scenario from the registry and its settings. For a state of a task in
+    /// Python, `scenario` is that task.
     #[staticmethod]
-    fn from_state(py: Python<'_>, state: &Bound<'_, PyAny>) -> PyResult<VecEnv> {
+    #[pyo3(signature = (state, scenario = None))]
+    fn from_state(py: Python<'_>, state: &Bound<'_, PyAny>, scenario: Given<'_, '_>) -> PyResult<VecEnv> {
         let bytes = bytes_of(state)?;
-        let options = options_of(&bytes, crate::registry()).map_err(|error| wrong("state", error))?;
-        let this = VecEnv::made(py, options)?;
+        let task = scenario.map(PythonTask::of).transpose()?.flatten();
+        let registry = match &task {
+            Some(task) => crate::registry().clone().with_task(&task.name()?, task.file()?),
+            None => crate::registry().clone(),
+        };
+        let options =
+            options_of(core_of(&bytes, task.as_deref())?, &registry).map_err(|error| wrong("state", error))?;
+        let this = VecEnv::made(py, options, task)?;
         this.restore(py, &bytes)?;
         Ok(this)
     }
@@ -343,13 +405,13 @@ impl VecEnv {
 
     /// Number of environments N.
     #[getter]
-    fn num_envs(&self) -> usize {
+    pub(crate) fn num_envs(&self) -> usize {
         self.options.environments
     }
 
     /// Number of robots R of each environment.
     #[getter]
-    fn num_robots(&self) -> usize {
+    pub(crate) fn num_robots(&self) -> usize {
         self.options.scenario.robots()
     }
 
@@ -431,6 +493,12 @@ impl VecEnv {
 impl VecEnv {
     /// Continues from a state, which the caller has a turn for.
     fn restore(&self, py: Python<'_>, bytes: &[u8]) -> PyResult<()> {
+        if let Some(task) = self.task.as_deref().filter(|task| task.has_methods()) {
+            let seed = self.restore_task(py, task, bytes)?;
+            self.seed.store(seed, Ordering::Relaxed);
+            return Ok(());
+        }
+        core_of(bytes, None)?;
         let seed = with_buffers!(self, py, |environments, buffers| {
             let set = environments.set_state(bytes, buffers);
             set.map(|()| environments.options().seed)

@@ -1,5 +1,7 @@
 """The examples and the notebook, in a small form. Each is skipped where what it needs is not installed."""
 
+import functools
+import inspect
 import pathlib
 import sys
 
@@ -8,21 +10,41 @@ from needs import need
 
 import murmurate
 
-torch = need("torch")
-need("torch_geometric")
 EXAMPLES = pathlib.Path(__file__).parent.parent / "examples"
 
 
 @pytest.fixture(autouse=True)
 def beside_the_examples(monkeypatch):
-    threads = torch.get_num_threads()
     monkeypatch.syspath_prepend(str(EXAMPLES))
     yield
-    torch.set_num_threads(threads)
-    for name in ("ppo", "benchmarl_passage"):
+    for name in ("ppo", "benchmarl_passage", "four_rooms"):
         sys.modules.pop(name, None)
 
 
+@pytest.fixture
+def with_torch():
+    torch = need("torch")
+    need("torch_geometric")
+    threads = torch.get_num_threads()
+    yield
+    torch.set_num_threads(threads)
+
+
+def test_four_rooms_are_drawn_driven_and_trained_in(tmp_path, monkeypatch, capsys):
+    import four_rooms
+
+    source = inspect.getsource(four_rooms.FourRooms).splitlines()
+    assert len(source) <= 30, f"{len(source)} lines"
+    out = tmp_path / "rooms.html"
+    monkeypatch.setattr(sys, "argv", ["four_rooms.py", f"--out={out}", "--episodes=10", "--updates=1"])
+    short = functools.partial(four_rooms.mean_reward, steps=10)
+    monkeypatch.setattr(four_rooms, "mean_reward", short)
+    four_rooms.main()
+    said = capsys.readouterr().out
+    assert out.read_text().startswith("<!") and "orca: 100% of 10 episodes" in said and "training" in said
+
+
+@pytest.mark.usefixtures("with_torch")
 @pytest.mark.parametrize("conditions", ["perfect", "late"])
 def test_a_loop_of_ones_own_trains_and_is_exported(conditions, tmp_path):
     import ppo
@@ -33,6 +55,7 @@ def test_a_loop_of_ones_own_trains_and_is_exported(conditions, tmp_path):
     assert murmurate.sim("passage", file, mode="onboard-adhoc", episodes=1, repeats=1).episodes == 1
 
 
+@pytest.mark.usefixtures("with_torch")
 @pytest.mark.parametrize("algorithm, kind", [("ippo", "graph"), ("mappo", "transformer")])
 def test_the_experiment_of_benchmarl_trains_and_is_exported(algorithm, kind, tmp_path, monkeypatch):
     need("benchmarl")
@@ -45,6 +68,7 @@ def test_the_experiment_of_benchmarl_trains_and_is_exported(algorithm, kind, tmp
     assert murmurate.sim("passage", file, episodes=1, repeats=1).episodes == 1
 
 
+@pytest.mark.usefixtures("with_torch")
 def test_the_notebook_runs_from_top_to_bottom(tmp_path, monkeypatch):
     nbclient, nbformat = need("nbclient"), need("nbformat")
     need("ipykernel")

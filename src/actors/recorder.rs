@@ -9,6 +9,7 @@
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
+use std::sync::Arc;
 
 use xxhash_rust::xxh3::Xxh3;
 
@@ -26,10 +27,11 @@ use crate::results::episode::{AbortReason, Episode, Judged};
 use crate::results::sensing::Sensings;
 use crate::results::totals::{Hearing, Published, Step, Steps, Totals};
 use crate::safety::guard::SafetyCounts;
-use crate::scenario::judge::{Judge, JudgedRobot, Judgement, Verdict};
+use crate::scenario::Scenario;
+use crate::scenario::judge::{JudgedRobot, Judgement, Verdict};
 use crate::scenario::layout::Layouts;
 use crate::scenario::sightings::{Sighting, Sightings, Spot};
-use crate::scenario::{Arena, Cost, Rules};
+use crate::scenario::watched::EpisodeJudge;
 use crate::time::{Span, Time};
 
 /// Input message of a Recorder, the actor that judges episodes and collects the results of a trial.
@@ -82,10 +84,8 @@ pub(crate) struct Config {
     pub(crate) layouts: Layouts,
     /// Index of this trial among the repeats of the experiment, from zero.
     pub(crate) repeat: u32,
-    /// Rules by which an episode is judged.
-    pub(crate) rules: Rules,
-    /// Cost by which an episode is judged; `None` in a scenario with goals.
-    pub(crate) cost: Option<Cost>,
+    /// Scenario by whose rules, cost and behaviour episodes are judged, with ground and walls.
+    pub(crate) scenario: Arc<dyn Scenario>,
     /// Whether the report has the true states of the robots at each step, and whose messages each robot then uses.
     pub(crate) steps: Steps,
     /// Number of other hosts that each broadcast latent should reach: the hosts with an Agent, without the sender.
@@ -94,8 +94,6 @@ pub(crate) struct Config {
     pub(crate) judged: Judged,
     /// Whether robots are placed at their starts before an episode (`true`) or drive there (`false`).
     pub(crate) placed: bool,
-    /// Ground and walls of the scenario, for episodes that have no arena of their own.
-    pub arena: Arena,
     /// Distance between a robot's centre and a wall below which the robot touches the wall \[m\]. Used only where
     /// readings are judged.
     pub(crate) wall_radius_m: f32,
@@ -132,7 +130,7 @@ pub(crate) struct Recorder {
     phase: Phase,
     since: Time,
     reset: Span,
-    judge: Option<Judge>,
+    judge: Option<EpisodeJudge>,
     /// Reason of the last episode that the state server has aborted, with the episode's index.
     aborted: Option<(u32, AbortReason)>,
     /// Index of the first episode without a verdict.
@@ -216,7 +214,7 @@ impl Recorder {
             let after = now.since(self.since);
             let lapsed = self.config.judged == Judged::Readings && self.sightings.lapsed(now);
             let finding = match &self.judge {
-                Some(judge) => judge.end(after, if lapsed { Verdict::Unseen } else { Verdict::Aborted }),
+                Some(judge) => judge.rules.end(after, if lapsed { Verdict::Unseen } else { Verdict::Aborted }),
                 None => Judgement { verdict: Verdict::Aborted, after, min_separation_m: f32::INFINITY, cost: None },
             };
             self.close(now, finding, out);
@@ -228,8 +226,8 @@ impl Recorder {
         let goes_on = (phase, round.episode) == (self.phase, self.round.episode);
         if phase == Phase::Running && self.judge.is_none() && round.episode == self.open {
             let tasks = self.config.layouts.episode(round.episode);
-            let judge = Judge::new(self.config.rules, tasks.iter().map(|task| task.goal).collect());
-            self.judge = Some(judge.with_cost(self.config.cost));
+            let episode = (self.config.repeat, round.episode);
+            self.judge = Some(EpisodeJudge::begun(&self.config.scenario, episode, tasks));
             let starts: Vec<Vec2> = tasks.iter().map(|task| task.start).collect();
             self.sightings.begin(now, Some(&starts[..]).filter(|_| self.config.placed));
             self.reset = if self.phase == Phase::Resetting { now.since(self.since) } else { Span::ZERO };
@@ -336,7 +334,8 @@ impl Recorder {
     fn take_reading(&mut self, now: Time, reading: &Reading, out: &mut Vec<Out>) {
         let centre = self.config.chassis[reading.robot.index()].centre(reading);
         let Some(Sighting { at, robots, lapsed }) = self.sightings.see(now, reading, centre) else { return };
-        let arena = self.config.layouts.arena(self.round.episode).map_or(&self.config.arena, |arena| &**arena);
+        let (fixed, episode) = (self.config.scenario.arena(), self.round.episode);
+        let arena = self.config.layouts.arena(episode).map_or(fixed, |arena| &**arena);
         let radius_m = self.config.wall_radius_m;
         let seen = |(robot, Spot { centre, point, velocity }): (RobotId, Spot)| {
             let contacts = Contacts { wall: arena.clearance(centre) <= radius_m, robot: false };
@@ -344,10 +343,10 @@ impl Recorder {
         };
         let Some(judge) = self.judge.as_mut().filter(|_| self.phase == Phase::Running) else { return };
         if lapsed {
-            judge.fail(Verdict::Unseen);
+            judge.rules.fail(Verdict::Unseen);
         }
         let seen: Vec<(RobotId, JudgedRobot)> = robots.into_iter().map(seen).collect();
-        if let Some(finding) = judge.update_some(at.since(self.since), &seen) {
+        if let Some(finding) = judge.rules.update_some(at.since(self.since), &seen) {
             self.close(now, finding, out);
         }
     }
@@ -430,13 +429,11 @@ mod tests {
         let config = Config {
             layouts,
             repeat: 4,
-            rules: passage.rules(),
-            cost: None,
+            scenario: Arc::clone(&passage),
             steps: Steps::Discarded,
             receivers: 1,
             judged,
             placed: false,
-            arena: passage.arena().clone(),
             wall_radius_m: 0.16,
             chassis: [Chassis::default(); 2].into(),
         };

@@ -14,12 +14,14 @@ use std::sync::Arc;
 
 use crate::actor::Core;
 use crate::chassis::Chassis;
-use crate::messages::geometry::{Motion, Vec2};
+use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::ids::RobotId;
 use crate::messages::local::{Drive, Sample, Scene, Standing, Truth};
 use crate::messages::wire::{Mode, Phase, Reading, Round};
 use crate::scenario::Scenario;
+use crate::scenario::judge::JudgedRobot;
 use crate::scenario::layout::Layouts;
+use crate::scenario::watched::Onlooker;
 use crate::time::{Span, Time};
 use crate::world::{Placement, Plant, PlantState};
 
@@ -95,6 +97,54 @@ pub struct World {
     senses: bool,
     /// Arenas of the episodes, where these differ.
     layouts: Layouts,
+    /// Observer of the episodes for the sense `task`, if this World simulates the whole team.
+    observing: Option<Observing>,
+}
+
+/// Observer of the episodes with what instructions have said of the present one.
+#[derive(Debug)]
+struct Observing {
+    onlooker: Onlooker,
+    chassis: Rc<[Chassis]>,
+    /// Index of the episode.
+    episode: u32,
+    /// Tasks of the robots, as far as they are known.
+    tasks: Vec<Option<Task>>,
+    /// Time since which the episode runs; `None` before.
+    since: Option<Time>,
+}
+
+impl Observing {
+    /// Follows an instruction: an episode begins once all its tasks are known and it runs.
+    fn follow(&mut self, now: Time, mode: &Mode) {
+        if self.episode != mode.round.episode {
+            (self.episode, self.since) = (mode.round.episode, None);
+            self.tasks.fill(None);
+        }
+        let team = RobotId::team(self.tasks.len());
+        team.zip(&mut self.tasks).for_each(|(robot, task)| *task = mode.task_of(robot).or(*task));
+        if mode.phase != Phase::Running {
+            self.since = None;
+        } else if self.since.is_none()
+            && let Some(tasks) = self.tasks.iter().copied().collect()
+        {
+            self.since = Some(now);
+            self.onlooker.begin((mode.repeat, mode.round.episode), tasks);
+        }
+    }
+
+    /// Returns what the robots observe in these states; empty while no episode runs.
+    fn look(&mut self, now: Time, samples: &[Sample]) -> Arc<[f32]> {
+        let Some(since) = self.since else { return Arc::default() };
+        let seen = |sample: &Sample| JudgedRobot {
+            position: sample.motion.position,
+            point: self.chassis[sample.robot.index()].point_of(sample),
+            velocity: sample.motion.velocity,
+            contacts: sample.contacts,
+        };
+        let robots: Vec<JudgedRobot> = samples.iter().map(seen).collect();
+        self.onlooker.look(now.since(since), &robots).map_or_else(Arc::default, Arc::from)
+    }
 }
 
 /// Robot that the World simulates, with its last command and the command's expiry.
@@ -163,6 +213,7 @@ impl World {
             placed_at: None,
             senses: false,
             layouts: Layouts::default(),
+            observing: None,
         }
     }
 
@@ -176,8 +227,20 @@ impl World {
         World { senses, ..self }
     }
 
+    /// Returns the World with an observer of its episodes, if the behaviour of the task observes and the World simulates
+    /// the whole team, which has these `chassis`.
+    pub fn observing(self, chassis: Rc<[Chassis]>) -> World {
+        let whole = self.senses && self.others.is_empty();
+        let onlooker = Onlooker::of(&self.scenario).filter(|_| whole);
+        let tasks = vec![None; self.bodies.len()];
+        let observing = onlooker.map(|onlooker| Observing { onlooker, chassis, episode: 0, tasks, since: None });
+        World { observing, ..self }
+    }
+
     /// Returns the poses of all robots that the World knows, in the order of their ids.
-    fn scene(&self, now: Time, placed: bool) -> Scene {
+    fn scene(&mut self, now: Time, placed: bool) -> Scene {
+        let samples = self.samples(now);
+        let observed = self.observing.as_mut().map_or_else(Arc::default, |observing| observing.look(now, &samples));
         let persistent = self.persistent.borrow();
         let ids = self.bodies.iter().map(|body| body.robot).chain(self.others.iter().map(|other| other.robot));
         let standing = |(robot, state): (RobotId, &PlantState)| Standing {
@@ -187,7 +250,8 @@ impl World {
         };
         let mut robots: Vec<Standing> = ids.zip(persistent.plant.states()).map(standing).collect();
         robots.sort_by_key(|standing| standing.robot);
-        Scene { time: now, placed, episode: persistent.last_mode.0.episode, robots: robots.into() }
+        let episode = persistent.last_mode.0.episode;
+        Scene { time: now, placed, episode, robots: robots.into(), observed }
     }
 
     /// Returns whether the World places robots at their starts for the instruction `mode`, and stores the instruction's
@@ -287,6 +351,9 @@ impl Core for World {
                 }
             }
             In::Mode(mode) => {
+                if let Some(observing) = &mut self.observing {
+                    observing.follow(now, &mode);
+                }
                 let places = self.is_to_place(&mode);
                 let caught = self.enter(&mode);
                 if places {
@@ -324,7 +391,9 @@ impl Core for World {
         out.extend(samples.iter().copied().map(Out::Sample));
         if steps {
             out.push(Out::Truth(Truth { time: now, samples: samples.into() }));
-            out.extend(self.senses.then(|| Out::Scene(self.scene(now, false))));
+            if self.senses {
+                out.push(Out::Scene(self.scene(now, false)));
+            }
         }
         self.next = now.next_on_grid(Span::ZERO, self.period);
     }

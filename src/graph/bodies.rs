@@ -182,11 +182,12 @@ pub(super) fn wire_world(
     let place = &graph.worlds[simulated[0].index()];
     let scenario = Arc::clone(&trial.scenario);
     let (senses, perceives) = (graph.senses.clone(), !trial.deployment.sense_names().is_empty());
-    let (perceiving, layouts) = (simulated.clone(), trial.layouts.clone());
+    let (perceiving, layouts, all) = (simulated.clone(), trial.layouts.clone(), trial.deployment.team_chassis());
     let make = move |_| {
         World::new(Rc::clone(&persistent), Arc::clone(&scenario), placement, &simulated, &others)
             .with_scenes(perceives)
             .with_layouts(layouts.clone())
+            .observing(Rc::clone(&all))
     };
     start(clock, place, info_span!("world", host = host.0), make, move |out| match out {
         world::Out::Sample(sample) => sensors[sample.robot.index()].send(localizer::In::Sample(sample)),

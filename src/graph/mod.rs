@@ -129,13 +129,11 @@ pub(super) fn wire_recorder(
     let config = recorder::Config {
         layouts: trial.layouts.clone(),
         repeat: trial.repeat,
-        rules: trial.scenario.rules(),
-        cost: trial.scenario.cost(),
+        scenario: std::sync::Arc::clone(&trial.scenario),
         steps: trial.steps,
         receivers: trial.deployment.hosts.iter().filter(|host| !host.agents.is_empty()).count() as u64 - 1,
         judged: trial.deployment.judged(),
         placed: trial.placement() == Placement::Exact,
-        arena: trial.scenario.arena().clone(),
         wall_radius_m: trial.physics.wall_radius_m,
         chassis: trial.deployment.team_chassis(),
     };

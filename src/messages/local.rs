@@ -139,6 +139,8 @@ pub struct Scene {
     pub episode: u32,
     /// Poses of the robots, in the order of robot ids.
     pub robots: Arc<[Standing]>,
+    /// Values of the sense `task` of all robots, in the order of robot ids; empty without it.
+    pub observed: Arc<[f32]>,
 }
 
 /// True pose of one robot in a [`Scene`].

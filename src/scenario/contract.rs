@@ -6,6 +6,7 @@
 use std::fmt::Display;
 use std::sync::Arc;
 
+use super::layout;
 use super::{Arena, Entry, Progress, Scenario, ScenarioError, Settings, TaskFile, build_of};
 use crate::messages::geometry::{Motion, Planar, Task, Vec2, is_finite};
 use crate::messages::local::Contacts;
@@ -124,8 +125,12 @@ fn tasks(scenario: &dyn Scenario) -> Result<(), String> {
             Some(_) => tasks.iter().map(|task| task.start).collect(),
         };
         let starts: Vec<Vec2> = scenario.tasks(seed, episode + 1).iter().map(|task| task.start).collect();
-        let chained = places == starts || scenario.cost().is_some();
+        let is_apart = scenario.task_file().is_some_and(TaskFile::draws_apart);
+        let chained = places == starts || scenario.cost().is_some() || is_apart;
         require(chained, || format!("the next episode does not start at the goals, {at}"))?;
+        if is_apart {
+            layout::check(scenario, &tasks).map_err(|why| format!("{why}, {at}"))?;
+        }
         for (robot, place) in places.iter().enumerate() {
             require(arena.admits(*place), || format!("robot {robot} has no room at {}, {at}", place.shown()))?;
             let near = |other: &Vec2| (*other - *place).norm() <= 2.0 * arena.robot_radius_m;

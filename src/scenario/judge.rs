@@ -136,6 +136,11 @@ impl Judge {
         self.process(after, &states, |at| robots[at].0.index())
     }
 
+    /// Returns whether each robot has arrived, in the order of robot ids.
+    pub(crate) fn arrived(&self) -> &[bool] {
+        &self.arrived
+    }
+
     /// Marks the episode as failed with `verdict`, for a reason that the robots' states do not show. It has no effect
     /// if the episode has already failed.
     pub(crate) fn fail(&mut self, verdict: Verdict) {

@@ -158,7 +158,9 @@ impl Layouts {
     }
 }
 
-fn check(scenario: &dyn Scenario, tasks: &[Task]) -> Result<(), String> {
+/// Checks that robots with these `tasks` have room at their starts and goals in `scenario`, apart from each other. An
+/// error says which robot has not, and where.
+pub fn check(scenario: &dyn Scenario, tasks: &[Task]) -> Result<(), String> {
     if tasks.len() != scenario.robots() {
         return Err(format!("{} robots; the team has {}", tasks.len(), scenario.robots()));
     }

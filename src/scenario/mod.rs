@@ -15,6 +15,7 @@ pub mod sightings;
 pub mod size;
 mod swap;
 pub mod task_file;
+pub(crate) mod watched;
 mod weights;
 
 use std::fmt::{self, Debug};
@@ -92,7 +93,8 @@ pub trait Scenario: Debug + Send + Sync {
 
     /// Returns start and goal of every robot \[m\], world frame, in the order of robot ids. `seed` is the seed of the
     /// run, and `episode` counts from 0. The starts of an episode are the goals of the previous episode, unless the
-    /// scenario has no goals (`cost`).
+    /// scenario has no goals (`cost`), or a task's behaviour draws its layouts (`TaskFile::draws_apart`).
+    /// Robots are then placed at their starts where a world simulates them.
     fn tasks(&self, seed: u64, episode: u32) -> Vec<Task>;
 
     /// Returns the cost by which an episode is judged, in a scenario without goals. Its episodes end by time,

@@ -13,6 +13,8 @@ use crate::time::{Span, Time};
 
 /// Number of scenes, and of packets of random bytes, that a sense gets.
 const INPUTS: u64 = 200;
+/// Number of values of the sense `task` of each robot: that of its example.
+const OBSERVED: usize = 2;
 
 /// Checks that a kind of sense keeps its contract, with the settings of its example: it refuses a setting that it does
 /// not know; its values are as many as its layout says, and each is a number or no echo; equal inputs and streams give
@@ -72,7 +74,8 @@ fn fed(sense: &mut dyn Sense) -> Result<Vec<Out>, String> {
                 Standing { robot: RobotId(robot), centre: Vec2::new(number(), number()), heading: number() }
             })
             .collect();
-        let scene = Scene { time: now, placed: step % 20 == 0, episode: 0, robots };
+        let observed = (0..robots.len() * OBSERVED).map(|_| stream.random_range(-3.0..3.0)).collect();
+        let scene = Scene { time: now, placed: step % 20 == 0, episode: 0, robots, observed };
         sense.take(now, In::Scene(&scene), &mut out);
         let length = stream.random_range(0..100);
         let packet: Vec<u8> = (0..length).map(|_| stream.random()).collect();

@@ -233,6 +233,8 @@ impl Measure for Lidar {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::super::{In, Out, Sense};
     use super::*;
     use crate::messages::local::Standing;
@@ -259,7 +261,7 @@ mod tests {
     fn scene(ms: u64, placed: bool) -> Scene {
         let standing = |robot, x, y| Standing { robot: RobotId(robot), centre: Vec2::new(x, y), heading: 0.0 };
         let robots = [standing(0, 0.0, 0.0), standing(1, 2.0, 0.0), standing(2, 0.0, -9.0)].into();
-        Scene { time: Time::ZERO + Span::from_millis(ms), placed, episode: 0, robots }
+        Scene { time: Time::ZERO + Span::from_millis(ms), placed, episode: 0, robots, observed: Arc::default() }
     }
 
     fn scans(sense: &mut dyn Sense, scene: &Scene) -> Vec<Vec<f32>> {

@@ -11,6 +11,7 @@ mod paced;
 mod program;
 pub mod rays;
 mod relative;
+mod task;
 
 use serde::{Deserialize, Serialize};
 
@@ -172,5 +173,6 @@ pub struct Entry {
 pub const REGISTRY: &[Entry] = &[
     Entry { name: "lidar", about: lidar::ABOUT, example: lidar::EXAMPLE, make: lidar::make },
     Entry { name: "relative", about: relative::ABOUT, example: relative::EXAMPLE, make: relative::make },
+    Entry { name: "task", about: task::ABOUT, example: task::EXAMPLE, make: task::make },
     Entry { name: "program", about: program::ABOUT, example: program::EXAMPLE, make: program::make },
 ];

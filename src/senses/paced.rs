@@ -35,8 +35,9 @@ pub(super) trait Measure {
     /// Returns the values that the sense has in a scene; `None` if its robot is not in it.
     fn measure(&mut self, scene: &Scene) -> Option<Vec<f32>>;
 
-    /// Takes the arena of the episode that begins, in place of the one with which the sense was made.
-    fn enter(&mut self, arena: &Arena);
+    /// Takes the arena of the episode that begins, in place of the one with which the sense was made. The default does
+    /// nothing, for measurements that do not depend on it.
+    fn enter(&mut self, _arena: &Arena) {}
 }
 
 /// Simulated sense: a measurement with its schedule.

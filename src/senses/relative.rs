@@ -194,6 +194,7 @@ impl Measure for Relative {
 #[cfg(test)]
 mod tests {
     use std::f32::consts::FRAC_PI_2;
+    use std::sync::Arc;
 
     use super::super::{In, Out, Sense};
     use super::*;
@@ -221,7 +222,7 @@ mod tests {
             heading,
         };
         let robots = (0..).zip(at).map(standing).collect();
-        Scene { time: Time::ZERO + Span::from_millis(ms), placed: false, episode: 0, robots }
+        Scene { time: Time::ZERO + Span::from_millis(ms), placed: false, episode: 0, robots, observed: Arc::default() }
     }
 
     fn seen(sense: &mut dyn Sense, ms: u64) -> Vec<f32> {

@@ -1,6 +1,7 @@
 //! The actor graph in one process under virtual time: whole trials and their guarantees.
 
 mod bad_entries;
+mod behaviours;
 mod built_in;
 mod common;
 mod contracts;

@@ -97,6 +97,18 @@ pub struct Environments {
     reached: Vec<bool>,
 }
 
+/// Draws the conditions of the next episode of a team of `robots` robots from `stream`, and then the seed and the episode
+/// number of its layout.
+pub(super) fn next_episode(
+    conditions: &Conditions,
+    robots: usize,
+    stream: &mut Stream,
+) -> (EpisodeConditions, (u64, u32)) {
+    let episode = EpisodeConditions::draw(conditions, robots, stream);
+    // Episodes with even and odd numbers start on different sides of the arena.
+    (episode, (stream.next_u64(), stream.random_range(0..2)))
+}
+
 impl Environments {
     /// Makes `rows` environments. Each entry of `groups` lists the team sizes of one of them; they take the entries in
     /// turn, and `scenarios` has a scenario for each size. Each team needs `start` or `place` before its first step.
@@ -182,9 +194,7 @@ impl Environments {
 
     /// Starts an episode of the team with index `team`, with a layout and conditions drawn from `stream`.
     pub fn start(&mut self, team: usize, conditions: &Conditions, stream: &mut Stream) {
-        let episode = EpisodeConditions::draw(conditions, self.teams[team].robots, stream);
-        // Episodes with even and odd numbers start on different sides of the arena.
-        let layout = (stream.next_u64(), stream.random_range(0..2));
+        let (episode, layout) = next_episode(conditions, self.teams[team].robots, stream);
         self.place(team, layout, episode, stream);
     }
 

@@ -28,6 +28,13 @@ pub struct Snapshot {
     yielding: Vec<Yielding>,
 }
 
+impl Snapshot {
+    /// Returns the seed and the episode number of each team's layout.
+    pub(super) fn layouts(&self) -> impl Iterator<Item = (u64, u32)> + use<'_> {
+        self.teams.iter().map(|team| team.layout)
+    }
+}
+
 impl TrainingTeam {
     /// Returns whether a team that was read has conditions and messages that an episode can have.
     fn is_sound(&self) -> bool {

@@ -131,14 +131,18 @@ fn usual_success() -> f64 {
 }
 
 impl Fields {
-    /// Reads the text of a task file and checks every value by itself. An error is one line that names the field.
-    pub fn read(text: &str) -> Result<Fields, ConfigError> {
+    /// Reads the text of a task file and checks every value by itself. Areas and places may be absent if `are_drawn`, by
+    /// other means than the file. An error is one line that names the field.
+    pub fn read(text: &str, are_drawn: bool) -> Result<Fields, ConfigError> {
         if text.len() > LONGEST {
             return Err(ConfigError::Syntax(format!("it is longer than {} kB, which no task file is", LONGEST >> 10)));
         }
         let table: toml::Table = config::from_toml(text)?;
         let fields: Fields = config::from_table(&table)?;
         fields.check()?;
+        if !are_drawn {
+            fields.check_places_given()?;
+        }
         Ok(fields)
     }
 
@@ -210,6 +214,15 @@ impl Fields {
         Ok(())
     }
 
+    /// Checks that the file says where robots start and go to.
+    fn check_places_given(&self) -> Result<(), ConfigError> {
+        let any = [self.area.is_some(), self.start.is_some(), self.exchange.is_some(), self.places.is_some()];
+        if any.contains(&true) {
+            return Ok(());
+        }
+        Err(ConfigError::field("start", "it is missing: give start and goal, area, exchange, or places"))
+    }
+
     fn check_areas(&self) -> Result<(), ConfigError> {
         let kinds = [
             ("start", self.start.is_some() || self.goal.is_some()),
@@ -218,18 +231,9 @@ impl Fields {
             ("places", self.places.is_some()),
         ];
         let given: Vec<&str> = kinds.iter().filter(|(_, given)| *given).map(|(field, _)| *field).collect();
-        match given[..] {
-            [] => {
-                return Err(ConfigError::field(
-                    "start",
-                    "it is missing: give start and goal, area, exchange, or places",
-                ));
-            }
-            [_] => {}
-            [first, second, ..] => {
-                let why = format!("there is '{first}' already: give start and goal, area, exchange, or places");
-                return Err(ConfigError::field(second, why));
-            }
+        if let [first, second, ..] = given[..] {
+            let why = format!("there is '{first}' already: give start and goal, area, exchange, or places");
+            return Err(ConfigError::field(second, why));
         }
         let missing = |field: &str| Err(ConfigError::field(field, "it is missing: start and goal belong together"));
         match (&self.start, &self.goal) {

@@ -1,9 +1,11 @@
 //! Tasks as data: a scenario that is made from the text of a task file (TOML), without Rust.
 //!
 //! `fields` has what may be written, `areas` and `places` the starts and goals, `doors` the bottlenecks that it finds,
-//! `ways` the lengths of paths. A file is read where the program reads files; this code gets its text.
+//! `ways` the lengths of paths, `behaviour` what a caller adds to a file. A file is read where the program reads files;
+//! this code gets its text.
 
 mod areas;
+mod behaviour;
 mod doors;
 mod fields;
 mod places;
@@ -11,6 +13,7 @@ mod ways;
 
 use std::sync::{Arc, OnceLock};
 
+pub use behaviour::{Behaviour, EpisodeStep};
 use rand::RngExt;
 
 use self::areas::{apart_m, least_m};
@@ -40,6 +43,7 @@ const FREE: f32 = 2.5;
 pub struct TaskFile {
     text: Arc<str>,
     fields: Arc<Fields>,
+    behaviour: Option<Arc<dyn Behaviour>>,
 }
 
 /// Scenario that was made from a task file.
@@ -50,7 +54,8 @@ struct FromFile {
     /// Factor on the lengths in the file.
     scale: f32,
     arena: Arena,
-    places: Places,
+    /// Rule by which robots get their places; `None` if the behaviour of the task draws them.
+    places: Option<Places>,
     rules: Rules,
     /// Ways through the arena, which training alone needs.
     ways: OnceLock<Ways>,
@@ -64,7 +69,24 @@ pub fn is_task_file(name: &str) -> bool {
 impl TaskFile {
     /// Reads the text of a task file. An error is one line that names the field.
     pub fn read(text: &str) -> Result<TaskFile, ConfigError> {
-        Ok(TaskFile { fields: Arc::new(Fields::read(text)?), text: text.into() })
+        Ok(TaskFile { fields: Arc::new(Fields::read(text, false)?), text: text.into(), behaviour: None })
+    }
+
+    /// Reads the text of a task file whose task has the `behaviour` besides. If that draws the layouts, the text may be
+    /// without areas and places. An error is one line that names the field.
+    pub fn with_behaviour(text: &str, behaviour: Arc<dyn Behaviour>) -> Result<TaskFile, ConfigError> {
+        let fields = Arc::new(Fields::read(text, behaviour.draws())?);
+        Ok(TaskFile { fields, text: text.into(), behaviour: Some(behaviour) })
+    }
+
+    /// Returns the behaviour of the task beyond its file; `None` if it has none.
+    pub fn behaviour(&self) -> Option<&Arc<dyn Behaviour>> {
+        self.behaviour.as_ref()
+    }
+
+    /// Returns whether the behaviour of the task draws the layouts of episodes, which then do not chain.
+    pub fn draws_apart(&self) -> bool {
+        self.behaviour.as_ref().is_some_and(|behaviour| behaviour.draws())
     }
 
     /// Returns the name of the task.
@@ -114,6 +136,11 @@ impl TaskFile {
         }
         let hull_m = settings.hull_m.unwrap_or(self.fields.hull_m);
         let size = Size::of(name, &Settings { hull_m: Some(hull_m), ..*settings })?;
+        self.check_one_size(size).map_err(|(field, why)| ScenarioError::Size {
+            scenario: name.to_owned(),
+            field,
+            why: why.to_owned(),
+        })?;
         let separation_m = self.fields.rules.separation_m;
         if separation_m.is_some() && hull_m != self.fields.hull_m {
             let why = "says rules.separation_m, which is for the hull in its file: leave one of them out".to_owned();
@@ -127,12 +154,24 @@ impl TaskFile {
             separation_m: separation_m.unwrap_or(size.separation_m()),
             limit,
         };
-        let places = Places::of(&self.fields, size.scale);
-        places.check(robots, &arena, rules.arrival_m).map_err(wrong)?;
+        let places = (!self.draws_apart()).then(|| Places::of(&self.fields, size.scale));
+        places.iter().try_for_each(|places| places.check(robots, &arena, rules.arrival_m)).map_err(wrong)?;
         let (file, scale, ways) = (self.clone(), size.scale, OnceLock::new());
         let scenario = FromFile { file, robots, scale, arena, places, rules, ways };
         scenario.check_obstacles().map_err(wrong)?;
         Ok(Arc::new(scenario))
+    }
+
+    /// Checks that the size is that of the file, if a behaviour draws places that do not follow it. An error has the
+    /// setting and why it is wrong.
+    fn check_one_size(&self, size: Size) -> Result<(), (&'static str, &'static str)> {
+        match self.draws_apart() {
+            true if size.scale != 1.0 => Err(("scale", "draws its own places, which have one scale: leave it out")),
+            true if size.hull_m != self.fields.hull_m => {
+                Err(("hull_m", "draws its own places, for robots of one hull: leave it out, or set it in the task"))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Returns the ground with its walls, the obstacles that are drawn, and the doors between them.
@@ -251,8 +290,12 @@ impl Scenario for FromFile {
     }
 
     fn tasks(&self, seed: u64, episode: u32) -> Vec<Task> {
+        let Some(places) = &self.places else {
+            let behaviour = self.file.behaviour.as_ref().expect("a task without places has one that draws them");
+            return behaviour.tasks(self.robots, seed, episode);
+        };
         let team = (self.robots, &self.arena, self.rules.arrival_m);
-        let placement = |index| self.places.placement(team, seed, index);
+        let placement = |index| places.placement(team, seed, index);
         let (starts, goals) = (placement(episode), placement(episode + 1));
         starts.into_iter().zip(goals).map(|(start, goal)| Task { start, goal }).collect()
     }

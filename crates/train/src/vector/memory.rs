@@ -36,7 +36,7 @@ impl Options {
             + 2.0 * episode
             + walls;
         let robot = size(size_of::<Option<Filter>>() + size_of::<Wheels>() + size_of::<Contacts>())
-            + size(2 * size_of::<Task>() + 8 * size_of::<Vec2>())
+            + size(2 * size_of::<Task>() + 8 * size_of::<Vec2>() + size_of::<(Contacts, f32)>())
             + 4.0 * float;
         let outputs =
             if matches!(self.content, Content::Actions(_)) { r * m * size(HISTORY_STEPS) * float } else { 0.0 };

@@ -5,19 +5,21 @@
 
 mod memory;
 mod options;
+mod phases;
 mod scan;
 mod state;
 
 pub use options::{Autoreset, Content, Lidar, Options};
-pub use state::{StateError, options_of};
+pub use phases::{LayoutKey, TeamStates};
+pub use state::{StateError, layouts_of, options_of};
 
 use super::conditions::EpisodeConditions;
-use super::config::Conditions;
 use super::environments::Environments;
 use super::message_buffer::{HISTORY_STEPS, HeldMessage};
 use super::observe;
 use super::parallel::in_parallel;
 use murmurate::messages::geometry::Vec2;
+use murmurate::messages::local::Contacts;
 use murmurate::random::{Seed, Stream};
 use murmurate::senses::Scanner;
 
@@ -120,6 +122,9 @@ struct Chunk {
     outputs: Vec<f32>,
     /// Lidar of the robot that is looked at; `None` without one.
     scanner: Option<Scanner>,
+    /// Contacts of each robot in the last step of `VectorEnvironment::advance`, with all 50 ms for which its action was
+    /// held, and the length of its remaining path before \[m\]; empty before the first one.
+    before: Vec<(Contacts, f32)>,
 }
 
 /// Vectorised environment: N teams of R robots each, stepped together, with results in flat buffers of the caller.
@@ -146,8 +151,9 @@ impl VectorEnvironment {
                 velocities: vec![Vec2::zeros(); rows * robots],
                 outputs: vec![0.0; rows * outputs],
                 scanner: options.lidar.as_ref().map(|lidar| lidar.scanner().expect("checked settings are sound")),
+                before: Vec::new(),
             };
-            (0..rows).for_each(|row| chunk.start(&options.conditions, row));
+            (0..rows).for_each(|row| chunk.start(&options, row));
             chunk
         };
         let chunks = (0..options.environments).step_by(CHUNK).map(chunk).collect();
@@ -172,7 +178,7 @@ impl VectorEnvironment {
             chunk.outputs.fill(0.0);
             for row in 0..chunk.streams.len() {
                 chunk.streams[row] = stream_of(root, environment);
-                chunk.start(&self.options.conditions, row);
+                chunk.start(&self.options, row);
                 environment += 1;
             }
         }
@@ -191,7 +197,19 @@ impl VectorEnvironment {
     ///
     /// # Panics
     /// If `actions` or `outputs` has another length, or if a buffer is too short.
-    pub fn step(&mut self, actions: &[f32], outputs: &[f32], mut buffers: Buffers) {
+    pub fn step(&mut self, actions: &[f32], outputs: &[f32], buffers: Buffers) {
+        self.in_chunks((actions, outputs), buffers, |chunk, (options, lengths), given, buffers| {
+            chunk.step((options, lengths), given, buffers);
+        });
+    }
+
+    /// Calls `work` for each chunk, on threads, with its parts of actions, outputs and buffers.
+    fn in_chunks(
+        &mut self,
+        (actions, outputs): (&[f32], &[f32]),
+        mut buffers: Buffers,
+        work: impl Fn(&mut Chunk, (&Options, Lengths), (&[f32], &[f32]), Buffers) + Sync,
+    ) {
         let VectorEnvironment { options, lengths, chunks } = self;
         let lengths = *lengths;
         let (width, floats) = (2 * lengths.robots, lengths.robots * lengths.message);
@@ -208,8 +226,8 @@ impl VectorEnvironment {
                 (buffers.take(rows.len(), lengths), (actions, outputs), chunk)
             })
             .collect();
-        in_parallel(options.threads, jobs.into_iter(), |(buffers, (actions, outputs), chunk)| {
-            chunk.step(options, lengths, (actions, outputs), buffers);
+        in_parallel(options.threads, jobs.into_iter(), |(buffers, given, chunk)| {
+            work(chunk, (options, lengths), given, buffers);
         });
     }
 
@@ -219,7 +237,7 @@ impl VectorEnvironment {
         let mut first = 0;
         for chunk in &mut self.chunks {
             for row in (0..chunk.streams.len()).filter(|row| mask(first + row)) {
-                chunk.start(&self.options.conditions, row);
+                chunk.start(&self.options, row);
             }
             first += chunk.streams.len();
         }
@@ -267,49 +285,65 @@ fn stream_of(seed: Seed, environment: usize) -> Stream {
 }
 
 impl Chunk {
-    fn start(&mut self, conditions: &Conditions, row: usize) {
-        self.environments.start(row, conditions, &mut self.streams[row]);
+    fn start(&mut self, options: &Options, row: usize) {
+        self.environments.start(row, &options.conditions, &mut self.streams[row]);
+        if !self.before.is_empty() {
+            self.forget(options, row);
+        }
     }
 
-    fn step(
-        &mut self,
-        options: &Options,
-        lengths: Lengths,
-        (actions, outputs): (&[f32], &[f32]),
-        mut buffers: Buffers,
-    ) {
+    fn step(&mut self, (options, lengths): (&Options, Lengths), given: (&[f32], &[f32]), mut buffers: Buffers) {
         for row in 0..self.streams.len() {
             let mut one = buffers.take(1, lengths);
-            let range = self.environments.teams[row].range();
-            for robot in range.clone() {
-                let wanted = Vec2::new(actions[2 * robot], actions[2 * robot + 1]);
-                let task = &self.environments.tasks[robot];
-                self.velocities[robot] = self.environments.scenario(row).steer(task, wanted);
-            }
-            // The neutral element of addition, which zero is not: it would take the sign of a negative zero.
-            one.reward.fill(-0.0);
-            let mut ended = false;
-            for held in 0..options.repeat {
-                if held > 0 {
-                    // What arrives while an action is held is drawn as if it had been given anew.
-                    self.receive(options, lengths, row, &mut one);
-                }
-                ended = self.advance(options, lengths, (row, outputs), &mut one);
-                if ended {
-                    break;
-                }
-            }
-            self.scan(row, one.last_scan);
-            if ended && options.autoreset == Autoreset::SameStep {
-                self.start(&options.conditions, row);
-                self.observe(options, row, one.observation);
-                self.scan(row, one.scan);
-            } else {
-                one.observation.copy_from_slice(one.last_observation);
-                one.scan.copy_from_slice(one.last_scan);
-            }
-            self.receive(options, lengths, row, &mut one);
+            let ended = self.hold((options, lengths), (row, given), &mut one, |_| {});
+            self.go_on((options, lengths), (row, ended && options.autoreset == Autoreset::SameStep), &mut one);
         }
+    }
+
+    /// Advances an environment by the steps for which its action is held, and fills its parts of the buffers but for
+    /// what `go_on` fills. Calls `after` after each step of 50 ms. Returns whether the episode has ended.
+    fn hold(
+        &mut self,
+        (options, lengths): (&Options, Lengths),
+        (row, (actions, outputs)): (usize, (&[f32], &[f32])),
+        one: &mut Buffers,
+        mut after: impl FnMut(&mut Chunk),
+    ) -> bool {
+        for robot in self.environments.teams[row].range() {
+            let wanted = Vec2::new(actions[2 * robot], actions[2 * robot + 1]);
+            let task = &self.environments.tasks[robot];
+            self.velocities[robot] = self.environments.scenario(row).steer(task, wanted);
+        }
+        // The neutral element of addition, which zero is not: it would take the sign of a negative zero.
+        one.reward.fill(-0.0);
+        let mut ended = false;
+        for held in 0..options.repeat {
+            if held > 0 {
+                // What arrives while an action is held is drawn as if it had been given anew.
+                self.receive(options, lengths, row, one);
+            }
+            ended = self.advance(options, lengths, (row, outputs), one);
+            after(self);
+            if ended {
+                break;
+            }
+        }
+        self.scan(row, one.last_scan);
+        ended
+    }
+
+    /// Starts the next episode of an environment if it `begins`, and fills what the robots observe and hear before their
+    /// next decision.
+    fn go_on(&mut self, (options, lengths): (&Options, Lengths), (row, begins): (usize, bool), one: &mut Buffers) {
+        if begins {
+            self.start(options, row);
+            self.observe(options, row, one.observation);
+            self.scan(row, one.scan);
+        } else {
+            one.observation.copy_from_slice(one.last_observation);
+            one.scan.copy_from_slice(one.last_scan);
+        }
+        self.receive(options, lengths, row, one);
     }
 
     /// Advances an environment by 50 ms with the velocities of the current step, adds the rewards, and writes the last
@@ -397,7 +431,7 @@ impl Chunk {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Config;
+    use crate::config::{Conditions, Config};
     use murmurate::chassis;
     use murmurate::scenario::{self, Settings};
 

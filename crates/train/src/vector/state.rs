@@ -9,7 +9,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use super::{Autoreset, Buffers, Chunk, Content, Lengths, Lidar, Options, VectorEnvironment};
+use super::{Autoreset, Buffers, Chunk, Content, LayoutKey, Lengths, Lidar, Options, VectorEnvironment};
 use crate::config::{Conditions, Reward};
 use crate::snapshot::Snapshot;
 use murmurate::chassis;
@@ -213,6 +213,15 @@ pub fn options_of(bytes: &[u8], registry: &Registry) -> Result<Options, StateErr
     };
     options.check().map_err(|error| StateError::Damaged(error.to_string()))?;
     Ok(options)
+}
+
+/// Returns the layouts of the episodes in a state, one for each environment.
+///
+/// # Errors
+/// If the bytes are no whole state of this version.
+pub fn layouts_of(bytes: &[u8]) -> Result<Vec<LayoutKey>, StateError> {
+    let (stored, _) = read(bytes)?;
+    Ok(stored.chunks.iter().flat_map(Snapshot::layouts).collect())
 }
 
 /// Returns metadata and numbers of a state, if it is whole and of this version.
