@@ -49,8 +49,8 @@ pub fn core_of<'a>(bytes: &'a [u8], task: Option<&PythonTask>) -> PyResult<&'a [
         (None, false) => Ok(bytes),
         (None, true) => Err(wrong("state", "it is not of a task in Python with methods of its own")),
         (Some(_), false) => {
-            let why = "it is of a task in Python; give the task, too: VecEnv.from_state(state, Mine()), or set_state of \
-                       VecEnv(Mine(), ...)";
+            let why = "it is of a task in Python; give the task, too: VecEnv.from_state(state, Mine()), or set_state \
+                       of VecEnv(Mine(), ...)";
             Err(wrong("state", why))
         }
         (Some(rest), true) => {

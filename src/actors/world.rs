@@ -227,8 +227,8 @@ impl World {
         World { senses, ..self }
     }
 
-    /// Returns the World with an observer of its episodes, if the behaviour of the task observes and the World simulates
-    /// the whole team, which has these `chassis`.
+    /// Returns the World with an observer of its episodes, if the behaviour of the task observes and the World
+    /// simulates the whole team, which has these `chassis`.
     pub fn observing(self, chassis: Rc<[Chassis]>) -> World {
         let whole = self.senses && self.others.is_empty();
         let onlooker = Onlooker::of(&self.scenario).filter(|_| whole);

@@ -1,5 +1,5 @@
-//! Episodes of a run as the behaviour of their task sees them: the judge, which the behaviour may end, and the observer,
-//! which gives what robots observe.
+//! Episodes of a run as the behaviour of their task sees them: the judge, which the behaviour may end, and the
+//! observer, which gives what robots observe.
 
 use std::sync::Arc;
 

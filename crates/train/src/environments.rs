@@ -97,8 +97,8 @@ pub struct Environments {
     reached: Vec<bool>,
 }
 
-/// Draws the conditions of the next episode of a team of `robots` robots from `stream`, and then the seed and the episode
-/// number of its layout.
+/// Draws the conditions of the next episode of a team of `robots` robots from `stream`, and then the seed and the
+/// episode number of its layout.
 pub(super) fn next_episode(
     conditions: &Conditions,
     robots: usize,

@@ -131,8 +131,8 @@ fn usual_success() -> f64 {
 }
 
 impl Fields {
-    /// Reads the text of a task file and checks every value by itself. Areas and places may be absent if `are_drawn`, by
-    /// other means than the file. An error is one line that names the field.
+    /// Reads the text of a task file and checks every value by itself. Areas and places may be absent if `are_drawn`,
+    /// by other means than the file. An error is one line that names the field.
     pub fn read(text: &str, are_drawn: bool) -> Result<Fields, ConfigError> {
         if text.len() > LONGEST {
             return Err(ConfigError::Syntax(format!("it is longer than {} kB, which no task file is", LONGEST >> 10)));

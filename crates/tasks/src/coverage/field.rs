@@ -182,8 +182,8 @@ fn check_grid(grid: Grid) -> Result<(), FieldError> {
     if sound { Ok(()) } else { Err(FieldError::Grid { cells: grid.cells, cell_m: grid.cell_m }) }
 }
 
-/// Returns the integrals of a sum of Gaussians over the cells of `window`, row after row. A cell gets that of a Gaussian
-/// if its centre is nearer to the mean than `truncation` deviations.
+/// Returns the integrals of a sum of Gaussians over the cells of `window`, row after row. A cell gets that of a
+/// Gaussian if its centre is nearer to the mean than `truncation` deviations.
 pub fn integrals(grid: Grid, features: &[Feature], truncation: f64, window: &Window) -> Vec<f64> {
     let mut sums = vec![0.0; window.rows.len() * window.columns.len()];
     for feature in features {

@@ -34,8 +34,8 @@ pub struct Size {
     pub limit_s: f64,
 }
 
-/// The published benchmark ([`Parameters::published`](super::run::Parameters::published)), on cells of 8 m: 32 robots on
-/// 1024 m, for two minutes.
+/// The published benchmark ([`Parameters::published`](super::run::Parameters::published)), on cells of 8 m: 32 robots
+/// on 1024 m, for two minutes.
 pub const PUBLISHED: Size = Size {
     name: "coverage",
     grid: Grid { cells: 128, cell_m: 8.0 },

@@ -332,8 +332,8 @@ impl Chunk {
         ended
     }
 
-    /// Starts the next episode of an environment if it `begins`, and fills what the robots observe and hear before their
-    /// next decision.
+    /// Starts the next episode of an environment if it `begins`, and fills what the robots observe and hear before
+    /// their next decision.
     fn go_on(&mut self, (options, lengths): (&Options, Lengths), (row, begins): (usize, bool), one: &mut Buffers) {
         if begins {
             self.start(options, row);
