@@ -17,6 +17,9 @@ use crate::task::PythonTask;
 /// Value of an argument, if it is given.
 pub type Given<'a, 'py> = Option<&'a Bound<'py, PyAny>>;
 
+/// Scenario of the environments, with the task in Python that it is of, if it is of one.
+type Found = (Arc<dyn Scenario>, Option<Arc<PythonTask>>);
+
 /// Returns a `ValueError` that names the argument.
 pub fn wrong(argument: &str, why: impl std::fmt::Display) -> PyErr {
     PyValueError::new_err(format!("{argument}: {why}"))
@@ -166,7 +169,7 @@ impl Arguments<'_, '_> {
     }
 
     /// Returns the scenario of these settings, by its name or as a task in Python.
-    fn scenario(&self, settings: &Settings) -> PyResult<(Arc<dyn Scenario>, Option<Arc<PythonTask>>)> {
+    fn scenario(&self, settings: &Settings) -> PyResult<Found> {
         let task = self.scenario.map(PythonTask::of).transpose()?.flatten();
         let made = match &task {
             Some(task) => task.file()?.scenario(settings),

@@ -14,6 +14,9 @@ use pyo3::prelude::*;
 
 use crate::task::PythonTask;
 
+/// Results of a simulation as JSON, and for each judged episode the index of its repeat, its own, and its return.
+type Judged = (String, Vec<(u32, u32, f64)>);
+
 /// Time between two checks for a signal such as Ctrl-C.
 const SIGNALS: Duration = Duration::from_millis(50);
 
@@ -33,7 +36,7 @@ pub fn sim_task_json(
     started_by: Vec<OsString>,
     arguments: Vec<String>,
     task: &Bound<'_, PyAny>,
-) -> PyResult<(String, Vec<(u32, u32, f64)>)> {
+) -> PyResult<Judged> {
     let (task, file) = sound(task)?;
     let name = file.name().to_owned();
     let registry = crate::registry().clone().with_task(&name, file);

@@ -1,4 +1,4 @@
-//! Episodes of a run as the behaviour of their task sees them: the judge, which the behaviour may end, and the
+//! Episodes of a run as the behaviour of their task sees them: the judge, to which the behaviour adds ends, and the
 //! observer, which gives what robots observe.
 
 use std::sync::Arc;

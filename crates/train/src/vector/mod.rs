@@ -332,20 +332,6 @@ impl Chunk {
         ended
     }
 
-    /// Starts the next episode of an environment if it `begins`, and fills what the robots observe and hear before
-    /// their next decision.
-    fn go_on(&mut self, (options, lengths): (&Options, Lengths), (row, begins): (usize, bool), one: &mut Buffers) {
-        if begins {
-            self.start(options, row);
-            self.observe(options, row, one.observation);
-            self.scan(row, one.scan);
-        } else {
-            one.observation.copy_from_slice(one.last_observation);
-            one.scan.copy_from_slice(one.last_scan);
-        }
-        self.receive(options, lengths, row, one);
-    }
-
     /// Advances an environment by 50 ms with the velocities of the current step, adds the rewards, and writes the last
     /// observations. Returns whether the episode has ended.
     fn advance(

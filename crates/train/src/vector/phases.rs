@@ -99,6 +99,25 @@ fn next_layout(options: &Options, mut stream: Stream) -> LayoutKey {
 }
 
 impl Chunk {
+    /// Starts the next episode of an environment if it `begins`, and fills what the robots observe and hear before
+    /// their next decision.
+    pub(super) fn go_on(
+        &mut self,
+        (options, lengths): (&Options, Lengths),
+        (row, begins): (usize, bool),
+        one: &mut Buffers,
+    ) {
+        if begins {
+            self.start(options, row);
+            self.observe(options, row, one.observation);
+            self.scan(row, one.scan);
+        } else {
+            one.observation.copy_from_slice(one.last_observation);
+            one.scan.copy_from_slice(one.last_scan);
+        }
+        self.receive(options, lengths, row, one);
+    }
+
     /// Adds the contacts of the last 50 ms of an environment to those of the step.
     fn touch(&mut self, row: usize) {
         for robot in self.environments.teams[row].range() {
