@@ -21,6 +21,8 @@ use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
 use crate::trial::Trial;
 
+/// Largest team whose latents are carried everywhere: the work for all is little there.
+const FEW: usize = 64;
 /// Distance \[m\] beyond all that is computed, up to which latents are carried.
 const MARGIN_M: f32 = 0.5;
 /// Largest speed along a diagonal, in the limit of the speed along each axis.
@@ -66,17 +68,20 @@ pub(super) fn wire_links(clock: &Clock, trial: &Trial, graph: &Graph, shared: bo
 }
 
 /// Returns the distance \[m\] from its sender beyond which a latent on a link is of no use to any robot, so that it
-/// need not be carried there; `None` if it has to be carried everywhere: where robots may be mistaken about where they
-/// are, where ranges are drawn, where what was received is followed, and on ground so small that all are near each
-/// other.
+/// need not be carried there; `None` if it has to be carried everywhere: in a small team, where robots may be mistaken
+/// about where they are, where ranges are drawn, where what arrives is counted, and on ground so small that all are
+/// near each other.
 ///
 /// Robots accept latents within their communication range. Between the World's step and the reception both robots move,
 /// and their measurements have noise.
 pub(super) fn users_m(trial: &Trial, link: &Link) -> Option<f32> {
     let deployment = &trial.deployment;
+    if deployment.robots <= FEW {
+        return None;
+    }
     let one_each = deployment.hosts.iter().all(|host| host.agents.concat().len() <= 1);
     let ranges = || RobotId::team(deployment.robots).map(|robot| trial.comm_range(robot));
-    let certain = trial.faults.actors.is_empty() && trial.faults.links.is_empty() && !trial.steps.kept();
+    let certain = trial.faults.actors.is_empty() && trial.faults.links.is_empty() && !trial.everywhere;
     let whole = parts_of(&trial.models).is_none();
     if !(one_each && certain && whole && ranges().all(|range| range.std_m == 0.0) && link.radio.is_none()) {
         return None;

@@ -93,6 +93,9 @@ pub struct Trial {
     pub faults: FaultPlan,
     /// Time at which the trial ends, even during an episode; `None` to end with the last episode.
     pub until: Option<Time>,
+    /// Whether emulated links carry latents to all hosts, also to those that are too far away to use them, so that
+    /// counts of what arrives are those of real links. False by default: results and traces are the same.
+    pub everywhere: bool,
     /// Whether the report contains the robots' true states after each step of the simulator, and the messages in use.
     pub steps: Steps,
 }
@@ -169,6 +172,7 @@ impl Trial {
             stops: Vec::new(),
             faults: FaultPlan::default(),
             until: None,
+            everywhere: false,
             steps: Steps::Discarded,
         }
     }

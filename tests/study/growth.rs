@@ -8,7 +8,8 @@ use murmurate_report::cost::Cost;
 use murmurate_study::network::growth;
 
 fn team(mode: &str, robots: usize) -> Trial {
-    Trial::of_team(mode, "swap", robots).expect("there is room for them")
+    let trial = Trial::of_team(mode, "swap", robots).expect("there is room for them");
+    Trial { everywhere: true, ..trial }
 }
 
 /// Returns a team whose frames reach a little beyond the communication range.

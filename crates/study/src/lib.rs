@@ -172,7 +172,8 @@ impl Study {
         let (column, tested) = (&self.columns[job.column], &self.policies[job.policy]);
         let mut trial = column.trial(Arc::clone(&self.scenario), tested, &self.conditions);
         (trial.seed, trial.repeat, trial.layouts) = (self.seed, job.repeat, self.layouts.clone());
-        trial.keeping_steps()
+        // Its figures follow messages to their receivers.
+        Trial { everywhere: true, ..trial }.keeping_steps()
     }
 
     /// Checks the configuration of the study's trials. An error names the field at fault.

@@ -95,10 +95,8 @@ impl Senders {
         let guests = || ids(self.first_guest, HostId(u16::MAX));
         let count = self.all.range(guests()).count();
         if host >= self.first_guest {
-            let silent = |(_, sender): &(&SenderId, &Box<Sender>)| {
-                (sender.age(now).unwrap_or(Span::ZERO), now.since(sender.since))
-            };
-            let leaves = self.all.range(guests()).max_by_key(silent).map(|(id, _)| *id);
+            let silent = |sender: &Sender| (sender.age(now).unwrap_or(Span::ZERO), now.since(sender.since));
+            let leaves = self.all.range(guests()).max_by_key(|(_, sender)| silent(sender)).map(|(id, _)| *id);
             if let Some(id) = leaves.filter(|_| count >= MAX_GUESTS) {
                 self.remove(id);
             }

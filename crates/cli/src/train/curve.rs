@@ -188,6 +188,9 @@ impl Curve {
 
 pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 
+/// Line of a chart: its name, and its points.
+pub(super) type Line<'a> = (&'a str, Vec<(f64, f64)>);
+
 /// Draws lines against millions of decisions, up to `last`. Dashed lines with the numbers of `stages` mark where these
 /// begin.
 pub(super) fn chart(
@@ -195,7 +198,7 @@ pub(super) fn chart(
     title: &str,
     (last, range): (f64, std::ops::Range<f64>),
     unit: &str,
-    (lines, stages): (&[(&str, Vec<(f64, f64)>)], &[(f64, usize)]),
+    (lines, stages): (&[Line], &[(f64, usize)]),
 ) -> Result<()> {
     let (low, high) = (range.start, range.end);
     let mut chart = ChartBuilder::on(area)

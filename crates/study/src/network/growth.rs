@@ -31,7 +31,7 @@ pub fn range_m() -> f32 {
 /// Returns a trial of `robots` robots in the scenario `swap` that runs for the simulated time `lasts`. `mode` is `sim`
 /// or `onboard-adhoc`. Frames between hosts reach as far as [`range_m`]. An error says that the team cannot be made.
 pub fn trial(mode: &str, robots: usize, lasts: Span) -> Result<Trial, TrialError> {
-    let trial = Trial::of_team(mode, "swap", robots)?.lasting(lasts);
+    let trial = Trial { everywhere: true, ..Trial::of_team(mode, "swap", robots)?.lasting(lasts) };
     if trial.deployment.hosts.len() == 1 {
         return Ok(trial);
     }

@@ -1,7 +1,7 @@
 //! Steps in two phases, between which a caller judges the environments: it may give rewards, end episodes, and make the
 //! layouts of those that begin. Also what the caller judges, the true states of the teams.
 
-use super::{Buffers, Chunk, Options, VectorEnvironment, stream_of};
+use super::{Buffers, Chunk, Lengths, Options, VectorEnvironment, stream_of};
 use crate::environments::next_episode;
 use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::messages::local::Contacts;
