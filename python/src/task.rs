@@ -32,7 +32,7 @@ pub struct PythonTask {
     layouts: Mutex<BTreeMap<LayoutKey, Vec<Task>>>,
     /// Scenarios with the ground of the task, by the number of robots, by which places are checked.
     grounds: Mutex<BTreeMap<usize, Arc<dyn Scenario>>>,
-    /// First exception of a method where there was nobody to receive it.
+    /// First exception of a method that had no caller in Python.
     failure: Mutex<Option<PyErr>>,
     returns: Mutex<Returns>,
 }
@@ -68,7 +68,7 @@ impl Behaviour for Ground {
 }
 
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // What a panic elsewhere has left is whole: each value is replaced at once.
+    // A value is whole after a panic elsewhere: each is replaced at once.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -194,12 +194,12 @@ impl PythonTask {
         self.bound.bind(state.py()).call_method1(method, (robots, state))
     }
 
-    /// Returns the first exception of a method where there was nobody to receive it, and forgets it.
+    /// Returns the first exception of a method that had no caller in Python, and forgets it.
     pub fn take_failure(&self) -> Option<PyErr> {
         locked(&self.failure).take()
     }
 
-    /// Returns whether a method has failed where there was nobody to receive the exception.
+    /// Returns whether a method that had no caller in Python has failed.
     pub fn has_failed(&self) -> bool {
         locked(&self.failure).is_some()
     }

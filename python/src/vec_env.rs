@@ -66,11 +66,11 @@ pub struct VecEnv {
     /// Distances [m] (N, R, K) before an automatic reset: where an episode has ended, its last ones.
     #[pyo3(get)]
     pub(crate) last_scan: Py<PyArrayDyn<f32>>,
-    /// What the method `observe` of a task in Python returns (N, R, K), float32, after a reset where there was one;
+    /// Result of the method `observe` of a task in Python (N, R, K), float32, after a reset where there was one;
     /// (N, R, 0) without such a method.
     #[pyo3(get)]
     pub(crate) observed: Py<PyArrayDyn<f32>>,
-    /// What that method returns (N, R, K) before an automatic reset.
+    /// Result of that method (N, R, K) before an automatic reset.
     #[pyo3(get)]
     pub(crate) last_observed: Py<PyArrayDyn<f32>>,
     /// Task in Python; `None` for another scenario.

@@ -284,37 +284,44 @@ impl World {
         states.filter(|(_, (_, state))| within(state)).map(|(index, _)| index).collect()
     }
 
-    /// Places robots at their starts, out of the obstacles that were put where they stood, as people would who set
-    /// obstacles up.
-    fn free(&mut self, now: Time, mode: &Mode, caught: &[usize], out: &mut Vec<Out>) {
-        let mut persistent = self.persistent.borrow_mut();
-        for &index in caught {
-            let body = &mut self.bodies[index];
-            let task = self.layouts.episode(mode.round.episode)[body.robot.index()];
-            persistent.plant.place(index, task.start, task.heading());
-            (body.command, body.until) = (Vec2::zeros(), now);
-            self.placed_at = Some(now);
-            out.push(Out::Sample(sample(now, body, &persistent.plant.states()[index])));
-        }
-    }
-
+    /// Places the robots that the instruction has tasks of and that were not placed for its episode yet.
     fn place(&mut self, now: Time, mode: &Mode, out: &mut Vec<Out>) {
         let mut persistent = self.persistent.borrow_mut();
-        for (index, body) in self.bodies.iter_mut().enumerate() {
+        let mut placed = Vec::new();
+        for (index, body) in self.bodies.iter().enumerate() {
             // A new term of a running episode places no robot again.
             let due = persistent.placed[index].term == 0 || persistent.placed[index].episode < mode.round.episode;
             if let Some(task) = mode.task_of(body.robot).filter(|_| due) {
-                persistent.plant.place(index, task.start, task.heading());
                 persistent.placed[index] = mode.round;
-                (body.command, body.until) = (Vec2::zeros(), now);
-                let velocity = self.scenario.start_velocity(&task);
-                if velocity != Vec2::zeros() {
-                    persistent.plant.launch(index, velocity);
-                    (body.command, body.until) = (velocity, now + COASTING);
-                }
-                self.placed_at = Some(now);
-                out.push(Out::Sample(sample(now, body, &persistent.plant.states()[index])));
+                placed.push((index, task, self.scenario.start_velocity(&task)));
             }
+        }
+        drop(persistent);
+        self.put(now, &placed, out);
+    }
+
+    /// Places robots at their starts that stand where obstacles were put, by their indices.
+    fn free(&mut self, now: Time, mode: &Mode, caught: &[usize], out: &mut Vec<Out>) {
+        let tasks = self.layouts.episode(mode.round.episode);
+        let at_start = |&index: &usize| (index, tasks[self.bodies[index].robot.index()], Vec2::zeros());
+        let placed: Vec<(usize, Task, Vec2)> = caught.iter().map(at_start).collect();
+        self.put(now, &placed, out);
+    }
+
+    /// Puts robots at the starts of their tasks, by their indices, each with its velocity \[m/s\], and tells their
+    /// Localizers and senses.
+    fn put(&mut self, now: Time, robots: &[(usize, Task, Vec2)], out: &mut Vec<Out>) {
+        let mut persistent = self.persistent.borrow_mut();
+        for &(index, task, velocity) in robots {
+            let body = &mut self.bodies[index];
+            persistent.plant.place(index, task.start, task.heading());
+            (body.command, body.until) = (Vec2::zeros(), now);
+            if velocity != Vec2::zeros() {
+                persistent.plant.launch(index, velocity);
+                (body.command, body.until) = (velocity, now + COASTING);
+            }
+            self.placed_at = Some(now);
+            out.push(Out::Sample(sample(now, body, &persistent.plant.states()[index])));
         }
         drop(persistent);
         if self.senses && self.placed_at == Some(now) {

@@ -183,14 +183,6 @@ impl Scenario for Flocking {
         PolicyFrame::World
     }
 
-    fn reached(&self, _: &Task, _: Vec2) -> bool {
-        false
-    }
-
-    fn distance_to_go(&self, _: &Task, _: Vec2) -> f32 {
-        0.0
-    }
-
     /// Returns a robot's own part of the reward: minus 1 for a contact. `rewards` adds that of the team.
     fn reward(&self, _: &Task, _: &Motion, contacts: Contacts, _: &mut Progress) -> Option<f32> {
         Some(if contacts.robot || contacts.wall { -1.0 } else { 0.0 })

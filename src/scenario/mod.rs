@@ -86,7 +86,7 @@ pub trait Scenario: Debug + Send + Sync {
     /// `seed` is the seed of the run, and `episode` counts from 0. `None`, the default, means that every episode has
     /// the arena of `arena`. It must not depend on the episode whether there is one.
     ///
-    /// What is drawn leaves room for the robots: each start and goal of the episode is free.
+    /// The obstacles leave room for the robots: each start and goal of the episode is free.
     fn drawn_arena(&self, _seed: u64, _episode: u32) -> Option<Arena> {
         None
     }
@@ -138,9 +138,10 @@ pub trait Scenario: Debug + Send + Sync {
     }
 
     /// Returns true if a robot with start and goal `task` has arrived when it is at `position` \[m\], world frame. In
-    /// the default implementation that means within `Rules::arrival_m` of the goal.
+    /// the default implementation that means within `Rules::arrival_m` of the goal, and never in a scenario without
+    /// goals.
     fn reached(&self, task: &Task, position: Vec2) -> bool {
-        (task.goal - position).norm() <= self.rules().arrival_m
+        self.cost().is_none() && (task.goal - position).norm() <= self.rules().arrival_m
     }
 
     /// Returns the scenario's own reward of one robot for one step of training, and updates the robot's `_stage`.
@@ -175,9 +176,10 @@ pub trait Scenario: Debug + Send + Sync {
     }
 
     /// Returns the length \[m\] of the remaining path to the goal, for a robot with start and goal `task` at `position`
-    /// \[m\], world frame. Training rewards its decrease. The default implementation is the straight distance.
+    /// \[m\], world frame. Training rewards its decrease. The default implementation is the straight distance, and zero
+    /// in a scenario without goals.
     fn distance_to_go(&self, task: &Task, position: Vec2) -> f32 {
-        (task.goal - position).norm()
+        if self.cost().is_none() { (task.goal - position).norm() } else { 0.0 }
     }
 
     /// Returns the success rate, 0 to 1, that scripted navigation (the policy `orca`) must reach with the scenario's

@@ -24,15 +24,15 @@ pub(super) const APART: f32 = 1.001;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Size {
     /// Factor on the lengths of the task.
-    pub(crate) scale: f32,
+    pub scale: f32,
     /// Radius of a robot's hull \[m\]: two robots collide when their centres are nearer than two of them.
-    pub(crate) hull_m: f32,
+    pub hull_m: f32,
 }
 
 impl Size {
     /// Returns the size that the `settings` of the scenario named `scenario` give; without a setting, scale 1 and the
     /// hull of the paper's robots. An error names the setting.
-    pub(crate) fn of(scenario: &str, settings: &Settings) -> Result<Size, ScenarioError> {
+    pub fn of(scenario: &str, settings: &Settings) -> Result<Size, ScenarioError> {
         let fields = [("scale", settings.scale, SCALES, ""), ("hull_m", settings.hull_m, HULLS_M, " m")];
         for (field, value, (least, most), unit) in fields {
             if let Some(value) = value.filter(|value| !(least..=most).contains(value)) {
@@ -45,30 +45,30 @@ impl Size {
 
     /// Returns the size with the scale that keeps the number of hulls between two places, unless the `settings` have a
     /// scale.
-    pub(crate) fn by_hull(self, settings: &Settings) -> Size {
+    pub fn by_hull(self, settings: &Settings) -> Size {
         let scale = settings.scale.unwrap_or(self.hull_m / HULL_M);
         Size { scale, ..self }
     }
 
     /// Returns a length \[m\] of the task at this scale, from that at scale 1.
-    pub(crate) fn length(&self, length_m: f32) -> f32 {
+    pub fn length(&self, length_m: f32) -> f32 {
         length_m * self.scale
     }
 
     /// Returns the radius \[m\] that the task keeps free about a robot's centre: `Arena::robot_radius_m`.
-    pub(crate) fn robot_radius_m(&self) -> f32 {
+    pub fn robot_radius_m(&self) -> f32 {
         self.hull_m * ROOM_PER_HULL
     }
 
     /// Returns the distance \[m\] of two centres below which robots have collided: `Rules::separation_m`.
-    pub(crate) fn separation_m(&self) -> f32 {
+    pub fn separation_m(&self) -> f32 {
         2.0 * self.hull_m
     }
 
     /// Checks that robots have room in places that are `apart_m` \[m\] from each other at scale 1. `ground` names the
     /// places and what else there is, for the error. It names the hull or the scale, whichever was set, and the values
     /// that would do.
-    pub(crate) fn check_places(
+    pub fn check_places(
         &self,
         (scenario, ground): (&str, &str),
         settings: &Settings,

@@ -39,7 +39,7 @@ fn nearest_m(samples: &[Sample], arena: &Arena) -> f32 {
 fn every_robot_goes_around_the_obstacles_of_its_episode_and_through_those_of_others() {
     let mut cases = vec![("sim", KINEMATIC, 5), ("onboard-adhoc", KINEMATIC, 5)];
     if cfg!(feature = "rigid") {
-        // Its robots slide, and scripted navigation does not reckon with that.
+        // Its robots slide, which scripted navigation does not model.
         cases.push(("offboard", "rigid", 3));
     }
     for (mode, plant, least) in cases {

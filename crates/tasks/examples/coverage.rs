@@ -23,7 +23,7 @@ use murmurate_tasks::coverage::{
 };
 use serde::{Deserialize, Serialize};
 
-/// What the exporter writes.
+/// Content of the file `worlds.json` of the exporter.
 #[derive(Deserialize)]
 struct Exported {
     parameters: Written,

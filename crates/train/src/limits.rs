@@ -1,12 +1,12 @@
 //! Validation of a training's configuration: the permitted values of its fields.
 
 use super::config::{Conditions, Config, Critic, Ppo};
-use murmurate::config::ConfigError;
+use murmurate::config::{ConfigError, in_range};
 
 impl Config {
     /// Checks the values of all fields of the configuration. The error names the first wrong one.
     pub fn check(&self) -> Result<(), ConfigError> {
-        within("episode_s", self.episode_s, 0.1, 3600.0)?;
+        in_range("episode_s", self.episode_s, (0.1, 3600.0))?;
         self.body.chassis().map_err(|error| error.within("body"))?;
         self.ppo.check()?;
         self.reward.check()?;
@@ -72,15 +72,6 @@ impl Config {
     }
 }
 
-/// Checks that a value is within its bounds; the error names the field.
-fn within(field: &str, value: f32, low: f32, high: f32) -> Result<(), ConfigError> {
-    if (low..=high).contains(&value) {
-        Ok(())
-    } else {
-        Err(ConfigError::field(field, format!("{value} is not {low} to {high}")))
-    }
-}
-
 impl Ppo {
     fn check(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
@@ -104,16 +95,16 @@ impl Ppo {
         if self.kl_stop.is_nan() || self.kl_stop <= 0.0 {
             return wrong("ppo.kl_stop", format!("{} is not above 0", self.kl_stop));
         }
-        within("ppo.clip", self.clip, 1e-3, 1.0)?;
-        within("ppo.gamma", self.gamma, 0.0, 1.0)?;
-        within("ppo.lambda", self.lambda, 0.0, 1.0)?;
-        within("ppo.gradient_clip", self.gradient_clip, 1e-6, 1e6)?;
-        within("ppo.log_std", self.log_std, -10.0, 2.0)?;
-        within("ppo.overshoot", self.overshoot, 0.0, 1e3)?;
+        in_range("ppo.clip", self.clip, (1e-3, 1.0))?;
+        in_range("ppo.gamma", self.gamma, (0.0, 1.0))?;
+        in_range("ppo.lambda", self.lambda, (0.0, 1.0))?;
+        in_range("ppo.gradient_clip", self.gradient_clip, (1e-6, 1e6))?;
+        in_range("ppo.log_std", self.log_std, (-10.0, 2.0))?;
+        in_range("ppo.overshoot", self.overshoot, (0.0, 1e3))?;
         for at in [0, 1] {
-            within("ppo.learning_rate", self.learning_rate[at], 1e-9, 1.0)?;
-            within("ppo.entropy", self.entropy[at], 0.0, 1.0)?;
-            within("ppo.log_std_max", self.log_std_max[at], -10.0, 2.0)?;
+            in_range("ppo.learning_rate", self.learning_rate[at], (1e-9, 1.0))?;
+            in_range("ppo.entropy", self.entropy[at], (0.0, 1.0))?;
+            in_range("ppo.log_std_max", self.log_std_max[at], (-10.0, 2.0))?;
         }
         Ok(())
     }
@@ -122,14 +113,14 @@ impl Ppo {
 impl Conditions {
     /// Checks the values of all fields. The error names the first wrong one.
     pub(super) fn check(&self) -> Result<(), ConfigError> {
-        within("conditions.clean", self.clean, 0.0, 1.0)?;
-        within("conditions.deployed", self.deployed, 0.0, 1.0)?;
-        within("conditions.wall_radius_m", self.wall_radius_m, 1e-3, 10.0)?;
-        within("conditions.edge_spread", self.edge_spread, 0.0, 1.0)?;
-        within("conditions.everyone", self.everyone, 0.0, 1.0)?;
-        within("conditions.wheels", self.wheels, 0.0, 1.0)?;
-        within("conditions.filtered", self.filtered, 0.0, 1.0)?;
-        within("conditions.filtered_published", self.filtered_published, 0.0, 1.0)?;
+        in_range("conditions.clean", self.clean, (0.0, 1.0))?;
+        in_range("conditions.deployed", self.deployed, (0.0, 1.0))?;
+        in_range("conditions.wall_radius_m", self.wall_radius_m, (1e-3, 10.0))?;
+        in_range("conditions.edge_spread", self.edge_spread, (0.0, 1.0))?;
+        in_range("conditions.everyone", self.everyone, (0.0, 1.0))?;
+        in_range("conditions.wheels", self.wheels, (0.0, 1.0))?;
+        in_range("conditions.filtered", self.filtered, (0.0, 1.0))?;
+        in_range("conditions.filtered_published", self.filtered_published, (0.0, 1.0))?;
         let ranges = [
             ("conditions.lag_s", self.lag_s, 10.0),
             ("conditions.delay_s", self.delay_s, 0.5),
@@ -141,8 +132,8 @@ impl Conditions {
         ];
         let filtered = self.filtered_wall_radius_m.map(|range| ("conditions.filtered_wall_radius_m", range, 10.0));
         for (field, [low, high], max) in ranges.into_iter().chain(filtered) {
-            within(field, low, 0.0, max)?;
-            within(field, high, low, max)?;
+            in_range(field, low, (0.0, max))?;
+            in_range(field, high, (low, max))?;
         }
         Ok(())
     }

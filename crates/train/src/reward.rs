@@ -107,8 +107,8 @@ pub struct TeamMeans {
 }
 
 impl TeamMeans {
-    /// Returns the means of a team, summed in the order of the robots' ids; `None` if no term with these weights is
-    /// reckoned from the robots' motion.
+    /// Returns the means of a team, summed in the order of the robots' ids; `None` if no term with these weights
+    /// depends on the robots' motion.
     pub fn of(weights: &Reward, positions: &[Vec2], velocities: &[Vec2]) -> Option<TeamMeans> {
         if [weights.energy, weights.cohesion, weights.matching] == [0.0; 3] {
             return None;

@@ -6,8 +6,8 @@
 //! - The decentralised one knows, for each robot, what this robot has seen so far within its local map, and the
 //!   positions of the robots within communication range.
 //!
-//! What nobody has seen counts as zero. A robot whose cell has no density goes to the mean of the vertices of the cell,
-//! as in CoverageControl (by experiment, docs/coverage.md).
+//! The density of unseen cells counts as zero. A robot whose cell has no density goes to the mean of the vertices of
+//! the cell, as in CoverageControl (by experiment, docs/coverage.md).
 
 use super::{Point, field::Field, seen::Seen, voronoi};
 
@@ -64,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn the_clairvoyant_controller_goes_to_what_nobody_has_seen() {
+    fn the_clairvoyant_controller_goes_to_unseen_cells() {
         let field = point_at(70, 20);
         let robots = [[10.0, 50.0], [90.0, 50.0]];
         let goals = clairvoyant(&field, &robots);

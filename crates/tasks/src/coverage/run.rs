@@ -6,6 +6,7 @@ use super::{
     field::Field,
     rest::Places,
     seen::Seen,
+    size::PUBLISHED,
 };
 
 /// Distance \[m\] from the rim of the ground at which a robot is stopped, as in CoverageControl (by experiment).
@@ -24,11 +25,11 @@ pub struct Parameters {
     pub local_map_m: f64,
     /// Side \[m\] of the square around a robot that its sensor covers.
     pub sensor_m: f64,
-    /// What robots do that come back to the same place.
+    /// Rule for robots that come back to the same place.
     pub rest: Rest,
 }
 
-/// What robots do that come back to the same place.
+/// Rule for robots that come back to the same place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rest {
     /// They go on to their goals.
@@ -43,10 +44,10 @@ impl Parameters {
     pub fn published() -> Parameters {
         Parameters {
             step_s: 0.2,
-            speed_m_s: 5.0,
-            communication_m: 128.0,
-            local_map_m: 256.0,
-            sensor_m: 64.0,
+            speed_m_s: PUBLISHED.speed_m_s.into(),
+            communication_m: PUBLISHED.communication_m.into(),
+            local_map_m: PUBLISHED.local_map_m,
+            sensor_m: PUBLISHED.sensor_m,
             rest: Rest::Places,
         }
     }
@@ -85,7 +86,7 @@ pub struct Team<'a> {
     baseline: Baseline,
     robots: Vec<Point>,
     places: Vec<Places>,
-    /// What has been seen: none for the clairvoyant controller, one of the team, or one per robot.
+    /// Sets of seen cells: none for the clairvoyant controller, one of the team, or one per robot.
     seen: Vec<Seen>,
     first_cost: f64,
 }

@@ -35,8 +35,6 @@ pub const COVERAGE_TABLE: Entry = Entry {
 
 /// Name of the channel that has what a robot's sensor covers.
 pub const DENSITY: &str = "density";
-/// Radius that is kept free about a robot's centre, in radii of its hull, as in the library's own scenarios.
-const ROOM_PER_HULL: f32 = 1.5625;
 /// Share of the ground that robots may occupy with the room that they keep free, so that places for all are found soon.
 const CROWDED: f32 = 0.5;
 
@@ -45,7 +43,7 @@ const CROWDED: f32 = 0.5;
 struct Coverage {
     size: &'static Size,
     robots: usize,
-    hull_m: f32,
+    separation_m: f32,
     arena: Arena,
     cost: fn(&[Motion], &[Vec2]) -> f64,
 }
@@ -66,14 +64,15 @@ fn build(
         return refused("scale", "has one scale; 'coverage' is of 1024 m, and 'coverage-table' of 2 m");
     }
     let hull_m = settings.hull_m.unwrap_or(size.hull_m);
-    let robot_radius_m = hull_m * ROOM_PER_HULL;
+    let sized = murmurate::scenario::Size::of(size.name, &Settings { hull_m: Some(hull_m), ..*settings })?;
+    let robot_radius_m = sized.robot_radius_m();
     let half_m = size.grid.side_m() as f32 / 2.0 - robot_radius_m;
     let occupied = robots as f32 * std::f32::consts::PI * 4.0 * robot_radius_m * robot_radius_m;
     if half_m <= 0.0 || occupied > CROWDED * 4.0 * half_m * half_m {
         return refused("hull_m", "has no room for so many robots of this hull: take fewer or smaller ones");
     }
     let arena = Arena { half_extent: Vec2::repeat(half_m), keep_outs: Vec::new(), portals: Vec::new(), robot_radius_m };
-    Ok(Arc::new(Coverage { size, robots, hull_m, arena, cost }))
+    Ok(Arc::new(Coverage { size, robots, separation_m: sized.separation_m(), arena, cost }))
 }
 
 /// Returns the mean squared distance \[m²\] of what is important from the nearest robot: the coverage cost relative to
@@ -149,20 +148,12 @@ impl Scenario for Coverage {
         vec![Channel::new(DENSITY, about, form, move |known, values| sense(size, known, values))]
     }
 
-    fn reached(&self, _: &Task, _: Vec2) -> bool {
-        false
-    }
-
-    fn distance_to_go(&self, _: &Task, _: Vec2) -> f32 {
-        0.0
-    }
-
     fn reward(&self, _: &Task, _: &Motion, contacts: Contacts, _: &mut Progress) -> Option<f32> {
         Some(if contacts.robot || contacts.wall { -1.0 } else { 0.0 })
     }
 
     fn rules(&self) -> Rules {
-        Rules { arrival_m: 0.0, separation_m: 2.0 * self.hull_m, limit: Span::from_secs(self.size.limit_s) }
+        Rules { arrival_m: 0.0, separation_m: self.separation_m, limit: Span::from_secs(self.size.limit_s) }
     }
 }
 

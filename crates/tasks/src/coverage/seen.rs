@@ -1,4 +1,4 @@
-//! What a robot or a team has seen of the ground so far.
+//! Sets of the cells of the ground that a robot or a team has seen so far.
 
 use std::ops::Range;
 

@@ -2,7 +2,11 @@
 
 use murmurate::messages::geometry::Vec2;
 
-use super::{Point, field::Feature, grid::Grid};
+use super::{
+    Point,
+    field::{Bounds, Feature},
+    grid::Grid,
+};
 
 /// Golden ratio less 1: multiples of it, less their whole parts, are spread evenly over 0 to 1.
 const GOLDEN: f64 = 0.618_033_988_749_895;
@@ -82,8 +86,9 @@ impl Size {
     }
 
     /// Returns the Gaussians of an episode. Each has the goal of a task as its mean: `goals` \[m\], world frame. Its
-    /// deviation and its weight, 6 to 10, follow from its number.
+    /// deviation and its weight, which is within that of [`Bounds::published`], follow from its number.
     pub fn features(&self, goals: impl Iterator<Item = Vec2>) -> Vec<Feature> {
+        let weight = Bounds::published().weight;
         let spread = |number: usize, [least, most]: [f64; 2]| {
             let turns = (number + 1) as f64 * GOLDEN;
             least + (most - least) * (turns - turns.floor())
@@ -91,7 +96,7 @@ impl Size {
         let feature = |(number, goal): (usize, Vec2)| Feature {
             centre_m: self.on_ground(goal),
             deviation_m: spread(number, self.deviation_m),
-            weight: spread(3 * number, [6.0, 10.0]),
+            weight: spread(3 * number, [weight.start, weight.end]),
         };
         goals.enumerate().map(feature).collect()
     }

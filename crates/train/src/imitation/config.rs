@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::network::TrainableHops;
-use murmurate::config::{self, ConfigError};
+use murmurate::config::{self, ConfigError, in_range};
 use murmurate::policy::Draw;
 use murmurate::policy::hops::action::Action;
 use murmurate::policy::hops::manifest::{
@@ -103,14 +103,6 @@ pub struct Conditions {
     pub loss: [f32; 2],
 }
 
-/// Returns an error unless `value` is within the bounds.
-fn within(field: &str, value: f64, low: f64, high: f64) -> Result<(), ConfigError> {
-    if (low..=high).contains(&value) {
-        return Ok(());
-    }
-    Err(ConfigError::field(field, format!("{value} is not {low} to {high}")))
-}
-
 impl Config {
     /// Returns the preset.
     pub fn preset() -> Config {
@@ -143,24 +135,24 @@ impl Config {
             &self.imitation;
         let counts = [("episodes", episodes, 1024), ("window", window, 1024), ("batch", batch, 4096)];
         for (field, value, most) in counts {
-            within(&format!("imitation.{field}"), *value as f64, 1.0, f64::from(most))?;
+            in_range(&format!("imitation.{field}"), *value as f64, (1.0, f64::from(most)))?;
         }
-        within("imitation.lookback", *lookback as f64, 0.0, 64.0)?;
-        within("imitation.expert_share", f64::from(*expert_share), 0.0, 1.0)?;
-        within("imitation.expert_until", f64::from(*expert_until), 0.0, 1.0)?;
+        in_range("imitation.lookback", *lookback as f64, (0.0, 64.0))?;
+        in_range("imitation.expert_share", f64::from(*expert_share), (0.0, 1.0))?;
+        in_range("imitation.expert_until", f64::from(*expert_until), (0.0, 1.0))?;
         for rate in learning_rate {
-            within("imitation.learning_rate", f64::from(*rate), 1e-8, 1.0)?;
+            in_range("imitation.learning_rate", f64::from(*rate), (1e-8, 1.0))?;
         }
-        within("imitation.max_gradient", f64::from(*max_gradient), 1e-6, 1e6)?;
-        within("conditions.lockstep", f64::from(self.conditions.lockstep), 0.0, 1.0)?;
+        in_range("imitation.max_gradient", f64::from(*max_gradient), (1e-6, 1e6))?;
+        in_range("conditions.lockstep", f64::from(self.conditions.lockstep), (0.0, 1.0))?;
         let [low, high] = self.conditions.loss;
-        within("conditions.loss", f64::from(low), 0.0, f64::from(high))?;
-        within("conditions.loss", f64::from(high), 0.0, 0.95)?;
-        within("policy.rate_hz", self.policy.rate_hz, 20.0, 20.0)?;
+        in_range("conditions.loss", f64::from(low), (0.0, f64::from(high)))?;
+        in_range("conditions.loss", f64::from(high), (0.0, 0.95))?;
+        in_range("policy.rate_hz", self.policy.rate_hz, (20.0, 20.0))?;
         // Without a width there is no network to check below.
-        within("policy.hops", self.policy.hops as f64, 1.0, 8.0)?;
+        in_range("policy.hops", self.policy.hops as f64, (1.0, 8.0))?;
         for (field, widths) in [("message", &self.policy.message), ("update", &self.policy.update)] {
-            within(&format!("policy.{field}"), widths.len() as f64, 1.0, 8.0)?;
+            in_range(&format!("policy.{field}"), widths.len() as f64, (1.0, 8.0))?;
         }
         let manifest = self.manifest("any");
         let wrong = |text: String| match text.split_once(": ") {

@@ -8,7 +8,7 @@ use super::Lengths;
 use crate::config::{Conditions, Reward};
 use crate::reward::has_reward;
 use murmurate::chassis::{self, Chassis};
-use murmurate::config::ConfigError;
+use murmurate::config::{ConfigError, in_range};
 use murmurate::policy::manifest::Field;
 use murmurate::scenario::Scenario;
 use murmurate::senses::{self, Scanner};
@@ -99,14 +99,6 @@ impl Lidar {
 /// Largest number of environments: indices of robots and of their messages stay far below 2^32.
 const ENVIRONMENTS: usize = 1 << 20;
 
-/// Checks that a value is within its bounds, both included; the error names the argument.
-fn within<T: PartialOrd + std::fmt::Display>(argument: &str, value: T, least: T, most: T) -> Result<(), ConfigError> {
-    if value >= least && value <= most {
-        return Ok(());
-    }
-    Err(ConfigError::field(argument, format!("{value} is not {least} to {most}")))
-}
-
 impl Options {
     /// Checks the settings. The error names the wrong one, as the Python package does.
     ///
@@ -114,16 +106,16 @@ impl Options {
     /// If a value is not within its bounds, or the robots of the scenario have no goals and the configuration has no
     /// reward for them.
     pub fn check(&self) -> Result<(), ConfigError> {
-        within("num_envs", self.environments, 1, ENVIRONMENTS)?;
-        within("threads", self.threads, 1, 1024)?;
-        within("repeat", self.repeat, 1, 100)?;
-        within("episode_s", self.episode_s, 0.05, 3600.0)?;
-        within("radius_m", self.radius_m, 1e-3, 1e6)?;
-        within("limit_m_s", self.limit_m_s, 1e-3, 1e3)?;
-        within("hold_s", self.hold_s, 1e-3, 60.0)?;
-        within("observation_fields", self.observation.len(), 1, 16)?;
+        in_range("num_envs", self.environments, (1, ENVIRONMENTS))?;
+        in_range("threads", self.threads, (1, 1024))?;
+        in_range("repeat", self.repeat, (1, 100))?;
+        in_range("episode_s", self.episode_s, (0.05, 3600.0))?;
+        in_range("radius_m", self.radius_m, (1e-3, 1e6))?;
+        in_range("limit_m_s", self.limit_m_s, (1e-3, 1e3))?;
+        in_range("hold_s", self.hold_s, (1e-3, 60.0))?;
+        in_range("observation_fields", self.observation.len(), (1, 16))?;
         if let Content::Actions(floats) = self.content {
-            within("message_size", floats, 1, 1024)?;
+            in_range("message_size", floats, (1, 1024))?;
         }
         self.body.chassis().map_err(|error| error.within("body"))?;
         self.reward.check()?;

@@ -239,7 +239,7 @@ mod tests {
             assert_eq!(environments.states(|at| at == 33).position, after.position[33 * 3..]);
             environments.go_on(&[false; 34], memory.buffers());
         }
-        assert!(touched, "somebody touches something");
+        assert!(touched, "a robot touches a wall or another robot");
         environments.reset(|at| at == 0, memory.buffers());
         let states = environments.states(|at| at == 0);
         assert!(states.progress_m == [0.0; 3] && !states.wall.contains(&true) && states.time_s == [0.0]);
