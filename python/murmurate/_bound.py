@@ -9,7 +9,6 @@ import copy
 import difflib
 import inspect
 import json
-import math
 import os
 import pathlib
 import re
@@ -217,7 +216,7 @@ def _toml(value: Any, where: str) -> str:
     if isinstance(value, int):
         return str(value)
     if isinstance(value, float):
-        return repr(value) if math.isfinite(value) else {"inf": "inf", "-inf": "-inf"}.get(repr(value), "nan")
+        return repr(value)
     if isinstance(value, str):
         try:
             value.encode()

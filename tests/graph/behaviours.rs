@@ -10,8 +10,9 @@ use murmurate::random::{RngExt, Seed, Stream};
 use murmurate::registry::Registry;
 use murmurate::scenario::task_file::{Behaviour, EpisodeStep};
 use murmurate::scenario::{Settings, TaskFile, contract};
-use murmurate::time::Span;
 use murmurate::trial::Trial;
+
+use crate::common::INTERFACE;
 
 const YARD: &str = "name = \"yard\"\nrobots = { default = 3, least = 2, most = 4 }\nhalf_extent_m = [2.0, 2.0]\n\
                     rules = { arrival_m = 0.25, limit_s = 20.0 }\nscripted_success = 0.0\n";
@@ -114,14 +115,6 @@ impl Policy for Keeping {
         (own.goal - own.motion.position).map(|axis| axis.clamp(-1.0, 1.0))
     }
 }
-
-const INTERFACE: Interface = Interface {
-    features: 0,
-    radius_m: 2.0,
-    period: Span::from_millis(50),
-    limit_m_s: 1.0,
-    hold: Span::from_millis(200),
-};
 
 #[test]
 fn a_policy_takes_what_a_behaviour_observes_as_a_sense() {

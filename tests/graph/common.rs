@@ -1,9 +1,11 @@
-//! Shared by several tests: access to the reference data, and the end of workers.
+//! Shared by several tests: access to the reference data, the end of workers, and the interface of a policy.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use murmurate::edge::Running;
+use murmurate::policy::Interface;
+use murmurate::time::Span;
 use safetensors::SafeTensors;
 
 use crate::skip::skip;
@@ -44,3 +46,12 @@ pub fn integers(tensors: &SafeTensors, name: &str) -> Vec<i32> {
 pub fn bytes(tensors: &SafeTensors, name: &str) -> Vec<u8> {
     tensors.tensor(name).expect(name).data().to_vec()
 }
+
+/// Interface of a policy that broadcasts nothing and steps 20 times a second.
+pub const INTERFACE: Interface = Interface {
+    features: 0,
+    radius_m: 2.0,
+    period: Span::from_millis(50),
+    limit_m_s: 1.0,
+    hold: Span::from_millis(200),
+};

@@ -15,9 +15,10 @@ use murmurate::random::Stream;
 use murmurate::registry::Registry;
 use murmurate::report::TrialReport;
 use murmurate::results::totals::Steps;
-use murmurate::time::Span;
 use murmurate::trial::Trial;
 use murmurate::world;
+
+use crate::common::INTERFACE;
 
 const LIDAR: &str = "[senses.eyes]\nkind = \"lidar\"\nrays = 16\nrange_m = 3.0\n";
 
@@ -36,14 +37,6 @@ impl Policy for Looking {
         if self.1 { Vec2::new(0.0, 0.2) } else { Vec2::zeros() }
     }
 }
-
-const INTERFACE: Interface = Interface {
-    features: 0,
-    radius_m: 2.0,
-    period: Span::from_millis(50),
-    limit_m_s: 1.0,
-    hold: Span::from_millis(200),
-};
 
 fn taking(if_stale: IfStale) -> Taking {
     Taking { stale_after_s: Some(0.12), if_stale: Some(if_stale), ..Taking::default() }
