@@ -295,12 +295,12 @@ pub(super) fn probe(tensors: &TensorsByName, latent: usize) -> Result<Probe, Wei
     Ok(Probe { position: next()?, velocity: next()?, goal: next()?, age_s: next()?, latent: next()?, output: next()? })
 }
 
-/// Returns, for each layer of the network `name`, the names of its two tensors in a policy file and its shape: name of
-/// the weights, name of the biases, and \[out, in\]. `widths` are the numbers of inputs and of each layer's outputs.
-pub(super) fn layer_names<'a>(
-    name: &'a str,
-    widths: &'a [usize],
-) -> impl Iterator<Item = (String, String, [usize; 2])> + 'a {
+/// Tensors of a layer in a policy file: the name of the weights, the name of the biases, and the shape \[out, in\].
+pub(crate) type LayerTensors = (String, String, [usize; 2]);
+
+/// Returns the tensors of each layer of the network `name`. `widths` are the numbers of inputs and of each layer's
+/// outputs.
+pub(super) fn layer_names<'a>(name: &'a str, widths: &'a [usize]) -> impl Iterator<Item = LayerTensors> + 'a {
     widths.windows(2).enumerate().map(move |(depth, pair)| {
         let at = 2 * depth;
         (format!("{name}.{at}.weight"), format!("{name}.{at}.bias"), [pair[1], pair[0]])

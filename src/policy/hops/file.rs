@@ -106,14 +106,13 @@ fn team_probe(tensors: &TensorsByName, latent: usize) -> Result<TeamProbe, Weigh
 fn unknown(tensors: &TensorsByName, manifest: &Manifest) -> Option<String> {
     let mut known: Vec<String> = weights::PROBE_TENSORS.iter().map(|name| (*name).to_owned()).collect();
     known.push(HEARD.to_owned());
-    for (name, layers) in manifest.networks() {
-        known.extend(weights::layer_names(&name, &layers.widths).flat_map(|(weight, bias, _)| [weight, bias]));
-    }
+    known.extend(manifest.tensors().into_iter().flatten().flat_map(|(weight, bias, _)| [weight, bias]));
     tensors.keys().find(|name| !known.contains(name)).cloned()
 }
 
-/// Weights of a policy: for each network, in the order of `Manifest::networks`, its layers, each a pair of row-major
-/// weights \[out, in\] and biases \[out\].
+/// Weights of a policy: for each network its layers, each a pair of row-major weights \[out, in\] and biases \[out\]. The
+/// networks are the encoder, the memory, those of each hop (`manifest::Hop::networks`), and the decoder. The memory has
+/// two layers, of its input and of its state.
 pub type Tensors = Vec<Vec<(Vec<f32>, Vec<f32>)>>;
 
 /// Returns the bytes of a policy file of format 2 with this manifest and these weights. The field `sha256` of the
@@ -124,11 +123,11 @@ pub type Tensors = Vec<Vec<(Vec<f32>, Vec<f32>)>>;
 pub fn write(manifest: &Manifest, tensors: &Tensors) -> Vec<u8> {
     let bytes = |floats: &[f32]| floats.iter().flat_map(|float| float.to_le_bytes()).collect::<Vec<u8>>();
     let mut entries: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();
-    let networks = manifest.networks();
+    let networks = manifest.tensors();
     assert_eq!(networks.len(), tensors.len(), "there are weights for each network");
-    for ((name, form), layers) in networks.iter().zip(tensors) {
-        assert_eq!(form.widths.len(), layers.len() + 1, "{name} has all its layers");
-        for ((weight_name, bias_name, shape), (weight, bias)) in weights::layer_names(name, &form.widths).zip(layers) {
+    for (network, layers) in networks.into_iter().zip(tensors) {
+        assert_eq!(network.len(), layers.len(), "{} has all its layers", network[0].0);
+        for ((weight_name, bias_name, shape), (weight, bias)) in network.into_iter().zip(layers) {
             assert_eq!((weight.len(), bias.len()), (shape[0] * shape[1], shape[0]), "{weight_name} has its shape");
             entries.push((weight_name, shape.to_vec(), bytes(weight)));
             entries.push((bias_name, vec![shape[0]], bytes(bias)));

@@ -4,10 +4,13 @@
 use serde::{Deserialize, Serialize};
 
 use super::action::Action;
-use super::perceptron::Activation;
+use super::layers::check_layers;
+pub use super::layers::{Input, Layers};
+pub use super::memory::{Cell, Memory};
 use crate::messages::wire::MAX_FEATURES;
 use crate::policy::Draw;
 use crate::policy::manifest::{self, Field, Training};
+use crate::policy::weights::{self, LayerTensors};
 
 /// Version of the manifest's format of policies with several hops, which this module reads.
 pub const FORMAT: u32 = manifest::FORMATS[1];
@@ -39,49 +42,6 @@ impl EdgeFeature {
             EdgeFeature::Age | EdgeFeature::Distance => 1,
             EdgeFeature::RelativePosition | EdgeFeature::RelativeVelocity => 2,
         }
-    }
-}
-
-/// One part of the input of a hop's network; the parts of an input lie one after the other.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Input {
-    /// The robot's own input of this hop, called h_i in equations.
-    Own,
-    /// The neighbour's input of this hop as the neighbour broadcast it, called h_j in equations.
-    Sender,
-    /// The features of the edge from the neighbour to the robot, called e_ij in equations.
-    Edge,
-    /// The aggregated messages of all neighbours, an input of the update network only.
-    Messages,
-}
-
-/// Multi-layer perceptron of a policy: its inputs, the widths of its layers and their activations.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Layers {
-    /// Parts of the input, in this order. The list is empty for the encoder, whose input is the observation, and for
-    /// the decoder, whose input is the output of the last hop.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub inputs: Vec<Input>,
-    /// Layer widths, from the input to the output; one layer for each pair of neighbouring widths.
-    pub widths: Vec<usize>,
-    /// Activation function between layers; required if there is more than one layer.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub activation: Option<Activation>,
-    /// Activation function after the last layer; `linear`, that is none, if left out.
-    #[serde(default, skip_serializing_if = "is_linear")]
-    pub output_activation: Activation,
-}
-
-fn is_linear(activation: &Activation) -> bool {
-    *activation == Activation::Linear
-}
-
-impl Layers {
-    /// Returns the number of outputs of the last layer.
-    pub(crate) fn outputs(&self) -> usize {
-        self.widths.last().copied().unwrap_or(0)
     }
 }
 
@@ -209,6 +169,10 @@ pub struct Manifest {
     pub edge: Vec<EdgeFeature>,
     /// Network that turns an observation into the input of the first hop.
     pub encoder: Layers,
+    /// State that the policy keeps from one step to the next, between the encoder and the first hop; `None` for a
+    /// policy without state.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub memory: Option<Memory>,
     /// Hops in their order; the output of each is the input of the next.
     pub hops: Vec<Hop>,
     /// Network that turns the output of the last hop into the parameters of the action.
@@ -252,8 +216,9 @@ impl Manifest {
     /// Returns the number of floats of each hop's input, in the order of the hops, and last that of the decoder's
     /// input.
     pub(crate) fn widths(&self) -> Vec<usize> {
-        let mut widths = vec![self.encoder.outputs()];
-        widths.extend(self.hops.iter().scan(self.encoder.outputs(), |width, hop| {
+        let first = self.memory.map_or(self.encoder.outputs(), |memory| memory.floats);
+        let mut widths = vec![first];
+        widths.extend(self.hops.iter().scan(first, |width, hop| {
             *width = hop.outputs(*width);
             Some(*width)
         }));
@@ -265,14 +230,16 @@ impl Manifest {
         self.widths()[..self.hops.len()].iter().sum()
     }
 
-    /// Returns all networks of the policy, each with the prefix of its tensors' names.
-    pub(crate) fn networks(&self) -> Vec<(String, &Layers)> {
-        let mut networks = vec![("encoder".to_owned(), &self.encoder)];
+    /// Returns the layers of all networks of the policy: encoder, memory, the networks of the hops, decoder.
+    pub(crate) fn tensors(&self) -> Vec<Vec<LayerTensors>> {
+        let network = |name: &str, layers: &Layers| weights::layer_names(name, &layers.widths).collect::<Vec<_>>();
+        let mut networks = vec![network("encoder", &self.encoder)];
+        networks.extend(self.memory.map(|memory| memory.tensors(self.encoder.outputs()).into()));
         for (at, hop) in self.hops.iter().enumerate() {
             let present = hop.networks().into_iter().filter_map(|(name, layers)| Some((name, layers?)));
-            networks.extend(present.map(|(name, layers)| (format!("hops.{at}.{name}"), layers)));
+            networks.extend(present.map(|(name, layers)| network(&format!("hops.{at}.{name}"), layers)));
         }
-        networks.push(("decoder".to_owned(), &self.decoder));
+        networks.push(network("decoder", &self.decoder));
         networks
     }
 
@@ -287,7 +254,7 @@ impl Manifest {
         }
         let observed = ("2 for each of the observation's fields", 2 * self.observation.len());
         check_layers("encoder", &self.encoder, &[], &|_| 0, Some(observed))?;
-        let mut input = self.encoder.outputs();
+        let mut input = self.widths()[0];
         for (at, hop) in self.hops.iter().enumerate() {
             check_hop(&format!("hops.{at}"), hop, input, self.edge_floats())?;
             input = hop.outputs(input);
@@ -298,7 +265,11 @@ impl Manifest {
         }
         if self.latent() > MAX_FEATURES {
             let widths = &self.widths()[..self.hops.len()];
-            let field = if widths.len() == 1 { "encoder" } else { "hops" };
+            let field = match (widths.len(), self.memory) {
+                (1, Some(_)) => "memory",
+                (1, None) => "encoder",
+                _ => "hops",
+            };
             return Err(format!(
                 "{field}: inputs of {widths:?} floats, {} together; a message carries {MAX_FEATURES}: narrow them",
                 self.latent()
@@ -310,7 +281,8 @@ impl Manifest {
         if self.deviation != Deviation::Log && self.log_std_max.is_some() {
             return Err("log_std_max: it limits a deviation of the kind 'log' only; leave it out".to_owned());
         }
-        manifest::check_conditions(self.log_std_max, self.radius_m, self.limit_m_s, self.rate_hz, self.hold_s)
+        manifest::check_conditions(self.log_std_max, self.radius_m, self.limit_m_s, self.rate_hz, self.hold_s)?;
+        self.memory.map_or(Ok(()), |memory| memory.check(self.rate_hz))
     }
 }
 
@@ -365,56 +337,6 @@ fn check_hop(field: &str, hop: &Hop, input: usize, edge: usize) -> Result<(), St
     Ok(())
 }
 
-/// Checks a network: `allowed` are the parts that its input may have, `width` gives the width of each. The encoder and
-/// the decoder have none, and an input of the width `whole` with its description.
-fn check_layers(
-    field: &str,
-    layers: &Layers,
-    allowed: &[Input],
-    width: &dyn Fn(Input) -> usize,
-    whole: Option<(&str, usize)>,
-) -> Result<(), String> {
-    let Layers { inputs, widths, activation, output_activation } = layers;
-    if widths.len() < 2 || widths.iter().any(|&width| width == 0 || width > 4096) {
-        return Err(format!("{field}.widths: {widths:?} are not valid layer widths (two or more, each 1 to 4096)"));
-    }
-    let repeated = |at: usize| inputs[..at].contains(&inputs[at]);
-    if (0..inputs.len()).any(|at| repeated(at) || !allowed.contains(&inputs[at])) {
-        return Err(match allowed {
-            [] => format!("{field}.inputs: this network has one input; leave it out"),
-            _ => format!("{field}.inputs: expected some of {}, each once", names(allowed)),
-        });
-    }
-    if inputs.is_empty() && whole.is_none() {
-        return Err(format!("{field}.inputs: expected one or more of {}", names(allowed)));
-    }
-    let parts = || (names(inputs), inputs.iter().map(|part| width(*part)).sum());
-    let (what, expected) = whole.map_or_else(parts, |(what, expected)| (what.to_owned(), expected));
-    if widths[0] != expected {
-        return Err(format!("{field}.widths: input of {}; expected {expected}, {what}", widths[0]));
-    }
-    if widths.len() > 2 && activation.is_none() {
-        return Err(format!("{field}.activation: it has more than one layer; say which activation is between them"));
-    }
-    for activation in [activation.as_ref(), Some(output_activation)].into_iter().flatten() {
-        if matches!(activation, Activation::LeakyRelu(slope) if !slope.is_finite()) {
-            return Err(format!("{field}: a slope of leaky-relu is not finite"));
-        }
-    }
-    Ok(())
-}
-
-/// Returns the names of `parts` as a list, as in the manifest.
-fn names(parts: &[Input]) -> String {
-    let name = |part: &Input| match part {
-        Input::Own => "own",
-        Input::Sender => "sender",
-        Input::Edge => "edge",
-        Input::Messages => "messages",
-    };
-    parts.iter().map(name).collect::<Vec<_>>().join(", ")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -450,7 +372,8 @@ mod tests {
         let manifest = manifest();
         assert_eq!(manifest.check(), Ok(()));
         assert_eq!((manifest.widths(), manifest.latent()), (vec![6, 6, 7, 7], 19));
-        let names: Vec<String> = manifest.networks().into_iter().map(|(name, _)| name).collect();
+        let first = |network: &Vec<LayerTensors>| network[0].0.trim_end_matches(".0.weight").to_owned();
+        let names: Vec<String> = manifest.tensors().iter().map(first).collect();
         let of_hops = ["hops.1.message", "hops.1.score", "hops.1.update", "hops.2.query", "hops.2.key"];
         assert_eq!(names, [&["encoder"], &of_hops[..], &["decoder"]].concat());
         let text = serde_json::to_string(&manifest).expect("a manifest is JSON");

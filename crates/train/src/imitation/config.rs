@@ -199,6 +199,7 @@ impl Config {
             edge: edge.clone(),
             // The format has an encoder; nothing uses its one output, as the first hop takes edges alone.
             encoder: layers(&[], 2, &[1], Activation::Linear),
+            memory: None,
             hops: (0..*hops).map(hop).collect(),
             decoder: layers(&[], output, &[OUTPUTS], Activation::Linear),
             action: Action::Acceleration,
