@@ -6,6 +6,7 @@
 use divan::Bencher;
 use divan::counter::ItemsCount;
 use murmurate::messages::geometry::Vec2;
+use murmurate::policy::hops::entry::Entry;
 use murmurate::policy::manifest::Architecture;
 use murmurate::random::Seed;
 use murmurate::registry::Registry;
@@ -102,7 +103,7 @@ fn vectorised(bencher: Bencher, conditions: &str) {
         conditions: Conditions { clean: 1.0 - late, deployed: late, everyone: 0.0, ..config.conditions.clone() },
         reward: config.reward,
         body: config.body.clone(),
-        observation: config.policy.observation.clone(),
+        observation: config.policy.observation.iter().filter_map(Entry::field).collect(),
         radius_m: config.policy.radius_m,
         limit_m_s: config.policy.limit_m_s,
         episode_s: config.episode_s,

@@ -4,6 +4,7 @@
 use std::sync::Arc;
 
 use murmurate::deploy::senses_of;
+use murmurate::policy::hops::entry::Entry;
 use murmurate::policy::manifest::Field;
 use murmurate::scenario::{Scenario, ScenarioError, Settings};
 use murmurate_train::config::{Conditions, Config, CurriculumStage, Reward};
@@ -153,7 +154,7 @@ impl Arguments<'_, '_> {
                 .reward
                 .with_penalties(penalties.or(stage.as_ref().map(|stage| stage.penalties)).unwrap_or(1.0)),
             body: config.body.clone(),
-            observation: config.policy.observation.clone(),
+            observation: config.policy.observation.iter().filter_map(Entry::field).collect(),
             radius_m: config.policy.radius_m,
             limit_m_s: config.policy.limit_m_s,
             episode_s: episode_s.unwrap_or(config.episode_s),
@@ -280,7 +281,7 @@ fn without_goals(scenario: &dyn Scenario, config: Config) -> Config {
         ..config.reward.with_penalties(0.0)
     };
     let mut config = Config { reward, episode_s: scenario.rules().limit.as_secs() as f32, ..config };
-    config.policy.observation = vec![Field::Position, Field::Velocity];
+    config.policy.observation = vec![Field::Position.into(), Field::Velocity.into()];
     (config.policy.radius_m, config.policy.limit_m_s) = (learnt.radius_m, learnt.limit_m_s);
     config.policy.hold_s = learnt.hold_s;
     config

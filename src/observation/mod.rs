@@ -9,12 +9,14 @@ pub mod bound;
 pub mod builtin;
 pub mod channel;
 pub mod frame;
+pub mod observed;
 pub mod sense;
 mod taken;
 
 pub use bound::{Bound, ChannelError, Request};
 pub use channel::{Channel, Known, Quantity, Unit};
 pub use frame::{Frame, PolicyFrame};
+pub use observed::Observed;
 pub use sense::{IfStale, Miss, NamedMiss, Sweep, Taking};
 
 use crate::messages::geometry::{Motion, Pose, Vec2, rotated};

@@ -4,6 +4,7 @@
 //! that the crate makes. A policy works in the policy frame only: the world frame, or the world frame turned by half a
 //! turn. The code of this folder uses no network, actor or clock.
 
+pub mod failures;
 pub mod flock;
 pub mod gnn;
 pub mod hops;

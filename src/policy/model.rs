@@ -209,7 +209,7 @@ impl Model {
         match self {
             Model::Orca => Box::new(orca::Orca::new(arena)),
             Model::Gnn(network, draw) => Box::new(Gnn::new(Arc::clone(network), *draw)),
-            Model::Hops(network, draw) => Box::new(Hops::new(Arc::clone(network), *draw)),
+            Model::Hops(network, draw) => Box::new(Hops::new(Arc::clone(network), *draw, robot)),
             Model::Custom(custom) => (custom.instance)(arena, robot, custom.draw.unwrap_or(Draw::Mean)),
         }
     }
@@ -326,7 +326,8 @@ impl Model {
     pub fn requests(&self) -> &[Request] {
         match self {
             Model::Custom(custom) => &custom.origin.requests,
-            Model::Orca | Model::Gnn(..) | Model::Hops(..) => &[],
+            Model::Hops(network, _) => network.requests(),
+            Model::Orca | Model::Gnn(..) => &[],
         }
     }
 

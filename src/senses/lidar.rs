@@ -13,7 +13,7 @@ use crate::edge::Settings;
 use crate::messages::geometry::{Vec2, rotated};
 use crate::messages::ids::RobotId;
 use crate::messages::local::Scene;
-use crate::observation::{Sweep, Unit};
+use crate::observation::{Channel, Sweep, Unit};
 use crate::random::{self, RngExt, Stream};
 use crate::scenario::Arena;
 
@@ -95,7 +95,7 @@ impl Config {
 pub(super) fn make(settings: &Settings, _: RobotId) -> Result<Parts, ConfigError> {
     let config = checked(settings)?;
     let sweep = config.sweep();
-    let layout = Layout { shape: vec![config.rays], unit: Unit::Metre, sweep: Some(sweep) };
+    let layout = layout(config.rays, sweep);
     let scanner = Scanner::new(&config, &sweep);
     Ok(Parts::simulated(layout, config.pace(), move |site: Site| Lidar {
         robot: site.robot,
@@ -103,6 +103,11 @@ pub(super) fn make(settings: &Settings, _: RobotId) -> Result<Parts, ConfigError
         arena: site.arena.clone(),
         stream: site.stream,
     }))
+}
+
+/// Returns the form of the values of a lidar with so many rays.
+fn layout(rays: usize, sweep: Sweep) -> Layout {
+    Layout { shape: vec![rays], unit: Unit::Metre, sweep: Some(sweep) }
 }
 
 /// Reads the settings of a lidar and checks them.
@@ -149,6 +154,12 @@ impl Scanner {
             dropouts: config.dropouts,
             sweep: *sweep,
         }
+    }
+
+    /// Returns the channel of the observation by which a policy takes the lidar called `name`, the one with this `index`
+    /// among the senses of the robot.
+    pub fn channel(&self, name: &str, index: usize) -> Channel {
+        layout(self.rays(), self.sweep).channel(name, index)
     }
 
     /// Returns the directions and the range of the rays.

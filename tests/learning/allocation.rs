@@ -4,6 +4,7 @@
 use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::messages::ids::RobotId;
 use murmurate::observation::Observation;
+use murmurate::policy::hops::entry::Entry;
 use murmurate::policy::{self, Model, Neighbour};
 use murmurate::random::Seed;
 use murmurate::scenario::{self, Settings};
@@ -96,7 +97,7 @@ fn environments(name: &str, robots: usize) -> Options {
         conditions: config.conditions.clone(),
         reward: config.reward,
         body: config.body.clone(),
-        observation: config.policy.observation.clone(),
+        observation: config.policy.observation.iter().filter_map(Entry::field).collect(),
         radius_m: config.policy.radius_m,
         limit_m_s: config.policy.limit_m_s,
         episode_s: config.episode_s,

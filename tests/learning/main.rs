@@ -4,5 +4,6 @@ mod allocation;
 mod convolutions;
 mod gradients;
 mod imitation;
+mod memory;
 mod python_export;
 mod training;

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use murmurate::config::{self, ConfigError};
 use murmurate::messages::wire::{MAX_FLOATS, Missing};
+pub use murmurate::observation::Observed;
 use murmurate::observation::{Frame, Request};
 use murmurate::policy::Interface;
 use murmurate::time::Span;
@@ -11,7 +12,6 @@ use serde::{Deserialize, Serialize};
 
 pub use crate::action::{Action, Distribution, Kind};
 pub use crate::message::Message;
-pub use crate::observed::Observed;
 pub use crate::robots::{Id, MAX_ROBOTS, Robots};
 use crate::role::Role;
 
@@ -233,15 +233,7 @@ impl Contract {
 
     /// Returns the channels that the policy takes, in the order of the names of its inputs.
     pub fn requests(&self) -> Vec<Request> {
-        let request = |(input, observed): (&String, &Observed)| Request {
-            input: input.clone(),
-            channel: observed.source.as_ref().unwrap_or(input).clone(),
-            shape: observed.shape.clone(),
-            unit: observed.unit,
-            frame: observed.frame,
-            taking: observed.taking(),
-        };
-        self.observation.iter().map(request).collect()
+        self.observation.iter().map(|(input, observed)| observed.request(input)).collect()
     }
 
     /// Returns the number of floats of an edge; zero without edges.
@@ -301,14 +293,8 @@ impl Contract {
                     format!("the names {} are for inputs that are no observations", ROLES.join(", ")),
                 );
             }
-            let floats = observed.shape.iter().try_fold(1, |floats: usize, axis| floats.checked_mul(*axis));
-            if !(1..=3).contains(&observed.shape.len())
-                || !floats.is_some_and(|floats| (1..=MAX_STATE).contains(&floats))
-            {
-                return refuse(
-                    &format!("{field}.shape"),
-                    format!("it is not 1 to 3 numbers above zero for at most {MAX_STATE} values"),
-                );
+            if let Err(why) = observed.floats() {
+                return refuse(&format!("{field}.shape"), why);
             }
         }
         if self.edges.as_ref().is_some_and(|edges| edges.features.is_empty()) {

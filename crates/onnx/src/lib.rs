@@ -16,7 +16,6 @@ pub mod joint;
 mod memory;
 mod message;
 pub mod network;
-mod observed;
 mod onnx;
 mod operators;
 pub mod parts;

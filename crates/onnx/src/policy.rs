@@ -9,6 +9,7 @@ use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::{Form, MAX_FEATURE};
 use murmurate::observation::Observation;
+use murmurate::policy::failures::Failures;
 use murmurate::policy::{Broadcast, Draw, Interface, Model, Neighbour, Origin, Policy};
 use murmurate::random::Stream;
 use murmurate::time::Span;
@@ -39,10 +40,7 @@ pub(crate) struct Robot {
     chosen: Vec<usize>,
     /// Progress of the present step.
     progress: Progress,
-    /// Whether the log has been asked to say why a step has failed, since the last one that succeeded.
-    reported: bool,
-    /// Number of times that steps have begun to fail.
-    failures: u64,
+    failures: Failures,
 }
 
 /// Progress of a step.
@@ -71,8 +69,7 @@ impl Robot {
             arrays,
             chosen: Vec::new(),
             progress: Progress::Encoded,
-            reported: false,
-            failures: 0,
+            failures: Failures::new(robot),
         }
     }
 
@@ -189,22 +186,7 @@ impl Robot {
     fn fail(&mut self, why: &str) {
         // Robots of the same Agent would hear the message of an older step as if it were new.
         (self.progress, self.memory.is_new) = (Progress::Failed, false);
-        tracing::debug!(why, "a step of {} counts as none", self.robot);
-        if !self.reported {
-            self.reported = true;
-            self.failures += 1;
-            // What comes and goes is said at the times 1, 2, 4, 8, ...
-            if self.failures.is_power_of_two() {
-                let (policy, times) = (&self.network.contract.name, self.failures);
-                tracing::error!(
-                    policy,
-                    why,
-                    times,
-                    "a step of the policy failed; {} stands until one succeeds",
-                    self.robot
-                );
-            }
-        }
+        self.failures.fail(&self.network.contract.name, why);
     }
 
     fn encoded_message(&mut self, own: &Observation) -> Result<Vec<f32>, String> {
@@ -254,7 +236,7 @@ impl Robot {
         if let Some(state) = self.pick(at, &outputs, Output::State) {
             self.memory.state.copy_from_slice(state);
         }
-        self.reported = false;
+        self.failures.succeed();
         Ok(velocity)
     }
 }

@@ -1,15 +1,21 @@
 //! Configuration of a training, read from one TOML file or from a preset. The same configuration, seed and number of
 //! decisions give the same weights.
 
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
 
+use super::channels::Channels;
 use super::network::Shape;
 pub use super::weights::Reward;
 use murmurate::chassis::{self, Chassis};
 use murmurate::config::{self, ConfigError};
 use murmurate::policy::Draw;
-use murmurate::policy::manifest::{Activation, Aggregation, Architecture, EdgeField, Field, Manifest};
-use murmurate::scenario::Settings;
+use murmurate::policy::hops::entry::{self, Entry};
+use murmurate::policy::manifest::{Activation, Aggregation, Architecture, EdgeField, Manifest};
+use murmurate::scenario::{Scenario, Settings};
+use murmurate::senses;
 
 /// Name and TOML text of each preset, a predefined configuration of a training.
 pub const PRESETS: &[(&str, &str)] = &[
@@ -41,6 +47,9 @@ pub struct Config {
     /// Chassis of the robots; holonomic without limits on speed and acceleration if left out.
     #[serde(default, skip_serializing_if = "chassis::Settings::is_empty")]
     pub body: chassis::Settings,
+    /// Senses of each robot, by the names by which the policy's observation takes them.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub senses: BTreeMap<String, senses::Settings>,
     /// Network, observation and limits of the policy.
     pub policy: Policy,
     /// Layer widths of the critic's network; the policy's widths if left out.
@@ -62,8 +71,8 @@ pub struct Config {
 pub struct Policy {
     /// Layout of the message-passing network.
     pub architecture: Architecture,
-    /// Fields of a robot's observation, in the order of the network's inputs.
-    pub observation: Vec<Field>,
+    /// Entries of a robot's observation, in the order of the network's inputs.
+    pub observation: Vec<Entry>,
     /// Features of an edge, in the order of the network's inputs.
     #[serde(default)]
     pub edge: Vec<EdgeField>,
@@ -248,7 +257,7 @@ impl Config {
         Manifest {
             scenario: scenario.to_owned(),
             architecture: policy.architecture,
-            observation: policy.observation.clone(),
+            observation: policy.observation.iter().filter_map(Entry::field).collect(),
             edge: policy.edge.clone(),
             activation: Some(Activation::Relu),
             aggregation: Some(Aggregation::Sum),
@@ -272,12 +281,19 @@ impl Config {
         self.body.chassis().expect("a checked configuration has a sound chassis")
     }
 
+    /// Returns the channels among the entries of the policy's observation, joined with those of `scenarios` and with the
+    /// senses; `None` if there are none. An error names the wrong setting of a sense, or the channel that a scenario
+    /// has not.
+    pub fn channels(&self, scenarios: &[Arc<dyn Scenario>]) -> Result<Option<Channels>, ConfigError> {
+        Channels::new(&self.policy.observation, &self.senses, scenarios)
+    }
+
     /// Returns the layer widths of the policy's network.
     pub fn actor(&self) -> Shape {
         let policy = &self.policy;
         let edge = policy.edge.iter().map(|field| field.floats()).sum();
         let widths = [&policy.encoder, &policy.message, &policy.update];
-        shape(policy.architecture, 2 * policy.observation.len(), edge, widths, 4)
+        shape(policy.architecture, entry::floats(&policy.observation), edge, widths, 4)
     }
 
     /// Returns the layer widths of the critic's network, which observes all robots of a team and privileged information
@@ -288,7 +304,7 @@ impl Config {
             Some(critic) => [&critic.encoder, &critic.message, &critic.update],
             None => [&policy.encoder, &policy.message, &policy.update],
         };
-        let inputs = 2 * policy.observation.len() + super::observe::PRIVILEGED;
+        let inputs = entry::floats(&policy.observation) + super::observe::PRIVILEGED;
         shape(Architecture::Full, inputs, 2, widths, 1)
     }
 }

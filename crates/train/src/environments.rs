@@ -12,6 +12,7 @@ use std::sync::Arc;
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 
+use super::channels::Observing;
 use super::conditions::EpisodeConditions;
 use super::config::{Conditions, Reward};
 use super::filters;
@@ -95,6 +96,7 @@ pub struct Environments {
     /// Rewards of the scenario in the last step.
     scenario_reward: Vec<f32>,
     reached: Vec<bool>,
+    pub(super) observing: Observing,
 }
 
 /// Draws the conditions of the next episode of a team of `robots` robots from `stream`, and then the seed and the
@@ -159,6 +161,7 @@ impl Environments {
             filters: vec![None; robots],
             scenario_reward: vec![0.0; robots],
             reached: vec![false; robots],
+            observing: Observing::default(),
         }
     }
 
@@ -353,6 +356,7 @@ impl Environments {
             noise(episode.velocity_noise_m_s, &mut motion.velocity);
             messages.store(*step, robot, &motion);
         }
+        self.perceive(team, stream);
     }
 
     /// Returns a robot's estimate of its own motion, world frame, by its team's index and its index among all robots.

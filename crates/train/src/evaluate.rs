@@ -53,7 +53,9 @@ impl Evaluation<'_> {
         let (settings, robots) = (self.settings, self.scenario.robots());
         let mut stream = Seed::of_run(self.seed).stream(&format!("train/evaluate/{}", episodes.start));
         let rows = episodes.len();
-        let mut chunk = Chunk::new(rows, &[vec![robots]], std::slice::from_ref(self.scenario), settings);
+        let scenarios = std::slice::from_ref(self.scenario);
+        let channels = settings.config.channels(scenarios).expect("a training whose scenario has them");
+        let mut chunk = Chunk::new(rows, &[vec![robots]], (scenarios, channels), settings);
         let mut judges = Vec::new();
         for (team, episode) in episodes.enumerate() {
             chunk.environments.place(team, (self.seed, episode), conditions(episode), &mut stream);

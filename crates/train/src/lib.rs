@@ -8,6 +8,7 @@
 
 pub mod adam;
 pub mod batch;
+pub mod channels;
 mod checkpoint;
 pub mod conditions;
 pub mod config;
@@ -29,6 +30,7 @@ pub mod reward;
 mod rolling;
 pub mod rollout;
 mod scale;
+mod sensing;
 pub mod snapshot;
 mod task;
 pub mod trainer;

@@ -26,6 +26,9 @@ pub struct MessageBuffer {
     history: usize,
     /// Estimates \[x, y, vx, vy\] in m and m/s, world frame: by step modulo `history`, then by robot.
     estimates: Vec<[f32; 4]>,
+    /// Observations of the policy, by step modulo `history`, then by robot; empty where they follow from the estimates.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    observations: Vec<f32>,
     /// Step in which the newest held message was sent: by receiver, then by sender.
     held: Vec<Option<u32>>,
     /// First step whose message is not drawn yet: by receiver, then by sender. Each message is drawn once, so one that
@@ -53,6 +56,7 @@ impl MessageBuffer {
         self.history = if lockstep { 1 } else { HISTORY_STEPS };
         self.estimates.clear();
         self.estimates.resize(robots * self.history, [0.0; 4]);
+        self.observations.clear();
         self.held.clear();
         self.held.resize(robots * robots, None);
         self.undrawn.clear();
@@ -60,13 +64,16 @@ impl MessageBuffer {
     }
 
     /// Returns whether a buffer that was read is that of a team of `robots` robots in `step`, which act in lock step or
-    /// do not. (It has a shorter list of undrawn messages in the checkpoints of older programs.)
-    pub(super) fn is_sound(&self, robots: usize, step: u32, lockstep: bool) -> bool {
+    /// do not, with `stored` floats of each stored observation. (It has a shorter list of undrawn messages in the
+    /// checkpoints of older programs.)
+    pub(super) fn is_sound(&self, (robots, stored): (usize, usize), step: u32, lockstep: bool) -> bool {
         let history = if lockstep { 1 } else { HISTORY_STEPS };
         let pairs = robots * robots;
         (self.robots, self.history) == (robots, history)
             && self.estimates.len() == robots * history
             && self.estimates.as_flattened().iter().all(|number| number.is_finite())
+            && self.observations.len() == robots * history * stored
+            && self.observations.iter().all(|number| number.is_finite())
             && self.held.len() == pairs
             && self.held.iter().flatten().all(|held| *held <= step)
             && self.undrawn.len() <= pairs
@@ -84,6 +91,21 @@ impl MessageBuffer {
     pub fn estimate(&self, step: u32, robot: usize) -> Motion {
         let [x, y, vx, vy] = self.estimates[step as usize % self.history * self.robots + robot];
         Motion { position: Vec2::new(x, y), velocity: Vec2::new(vx, vy) }
+    }
+
+    /// Stores the policy's observation that the robot with index `robot` in the team has in `step`.
+    pub fn store_observation(&mut self, (step, robot): (u32, usize), observation: &[f32]) {
+        let width = observation.len();
+        self.observations.resize(self.robots * self.history * width, 0.0);
+        let at = step as usize % self.history * self.robots + robot;
+        self.observations[at * width..][..width].copy_from_slice(observation);
+    }
+
+    /// Returns the stored observation, of `width` floats, that the robot with index `robot` in the team had in `step`,
+    /// which must be among the stored steps.
+    pub fn observation(&self, step: u32, robot: usize, width: usize) -> &[f32] {
+        let at = step as usize % self.history * self.robots + robot;
+        &self.observations[at * width..][..width]
     }
 
     /// Returns the last known motions of the other robots, world frame, each with the time since its message arrived

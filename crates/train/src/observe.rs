@@ -1,28 +1,9 @@
-//! Observations of the networks: the policy's, as its manifest lists them, and the critic's, with privileged
-//! information.
+//! Privileged information: what the critic observes beside the policy's observation.
 
-use murmurate::messages::geometry::{Motion, Planar, Task};
-use murmurate::observation::{Dynamics, Observation};
-use murmurate::policy::manifest::Field;
-use murmurate::scenario::{Progress, Scenario};
+use murmurate::scenario::Progress;
 
 /// Number of inputs of the critic per robot in addition to the policy's observation.
 pub const PRIVILEGED: usize = 8;
-
-/// Writes the observation of a robot with these `dynamics` into `to`, two floats for each of `fields`, in the robot's
-/// policy frame. `task` is the robot's start and goal, and `estimate` its motion, both in the world frame.
-pub fn own(
-    fields: &[Field],
-    scenario: &dyn Scenario,
-    dynamics: Dynamics,
-    (task, estimate): (&Task, &Motion),
-    to: &mut [f32],
-) {
-    let observation = Observation { dynamics, ..scenario.observe(task, estimate) };
-    for (entry, field) in to.chunks_exact_mut(2).zip(fields) {
-        entry.copy_from_slice(&field.of(&observation).to_array());
-    }
-}
 
 /// Privileged information about a robot and its episode. It is an input of the critic only.
 #[derive(Clone, Copy, Debug)]

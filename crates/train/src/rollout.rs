@@ -6,11 +6,12 @@
 use std::sync::Arc;
 
 use super::batch::{Batch, Graphs};
+use super::channels::Channels;
 use super::config::{Config, Reward};
-use super::environments::Environments;
+use super::environments::{Environments, TrainingTeam};
 use super::message_buffer::HISTORY_STEPS;
 use super::network::{Space, TrainableGnn};
-use super::observe::{self, Privileged};
+use super::observe::{PRIVILEGED, Privileged};
 use super::record::{EpisodeState, EpisodeTotals, Experience, HALF_LOG_TWO_PI};
 use murmurate::messages::geometry::{Planar, Vec2};
 use murmurate::policy::Draw;
@@ -64,14 +65,17 @@ pub struct Chunk {
 
 impl Chunk {
     /// Makes a chunk of `rows` rows whose episodes are not started. Each entry of `groups` lists the team sizes of one
-    /// row; rows take the entries in turn. `scenarios` has a scenario for each of these sizes.
+    /// row; rows take the entries in turn. `scenarios` has a scenario for each of these sizes, and `channels` those of
+    /// the policy's observation, joined with them.
     pub fn new(
         rows: usize,
         groups: &[Vec<usize>],
-        scenarios: &[Arc<dyn Scenario>],
+        (scenarios, channels): (&[Arc<dyn Scenario>], Option<Channels>),
         settings: &RolloutSettings,
     ) -> Chunk {
+        let Config { policy, .. } = settings.config;
         let environments = Environments::new(rows, groups, scenarios).equipped(&settings.config.chassis());
+        let environments = environments.observing(&policy.observation, channels);
         let robots = environments.position.len() / rows;
         let (actor, critic) = (settings.actor, settings.critic);
         let record = Experience {
@@ -174,7 +178,6 @@ impl Chunk {
     /// order: the first team of a row begins the graph, and the last one completes it.
     fn observe(&mut self, settings: &RolloutSettings, team: usize, stream: &mut Stream) {
         let Chunk { environments, record, robots, .. } = self;
-        let fields = &settings.config.policy.observation;
         let (range, step) = (environments.teams[team].range(), environments.teams[team].step);
         if range.start.is_multiple_of(*robots) {
             // The current observations of all robots of a row are its first sources.
@@ -187,11 +190,9 @@ impl Chunk {
                 if robot == environments.teams[at].first && environments.teams[at].episode.lockstep {
                     environments.measure(at, stream);
                 }
-                let estimate = environments.estimate(at, robot);
                 let (_, to) = record.actor.source();
-                let dynamics = environments.teams[at].episode.dynamics();
-                let seen = (&environments.tasks[robot], &estimate);
-                observe::own(fields, environments.scenario(at), dynamics, seen, to);
+                let TrainingTeam { first, step, messages, .. } = &environments.teams[at];
+                environments.observation(at, messages, (*step, robot - first), to);
             }
         }
         let offset = range.start % *robots;
@@ -210,8 +211,7 @@ impl Chunk {
                     let at = message.sender * HISTORY_STEPS + message.step as usize % HISTORY_STEPS;
                     *sources[at].get_or_insert_with(|| {
                         let (source, to) = graphs.source();
-                        let seen = (&tasks[range.start + message.sender], &sent);
-                        observe::own(fields, environments.scenario(team), episode.dynamics(), seen, to);
+                        environments.observation(team, messages, (message.step, message.sender), to);
                         source
                     })
                 };
@@ -239,19 +239,15 @@ impl Chunk {
     fn observe_critic(&mut self, settings: &RolloutSettings, row: usize, other: Option<&mut Graphs>) {
         let Chunk { environments, record, robots, .. } = self;
         let graphs = other.unwrap_or(&mut record.critic);
-        let fields = &settings.config.policy.observation;
         let range = row * *robots..(row + 1) * *robots;
         let first = environments.teams.partition_point(|team| team.first < range.start);
         let teams = first..environments.teams.partition_point(|team| team.first < range.end);
         for team in teams.clone() {
             let (delay_s, loss) = environments.teams[team].episode.mean_edge();
             for robot in environments.teams[team].range() {
-                let truth = environments.point(robot);
                 let (_, to) = graphs.source();
-                let (own, more) = to.split_at_mut(2 * fields.len());
-                let dynamics = environments.teams[team].episode.dynamics();
-                let seen = (&environments.tasks[robot], &truth);
-                observe::own(fields, environments.scenario(team), dynamics, seen, own);
+                let (own, more) = to.split_at_mut(to.len() - PRIVILEGED);
+                environments.true_observation(team, robot, own);
                 let privileged = Privileged {
                     stage: environments.stage[robot],
                     arrived: environments.arrived[robot],

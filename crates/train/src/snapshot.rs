@@ -36,10 +36,11 @@ impl Snapshot {
 }
 
 impl TrainingTeam {
-    /// Returns whether a team that was read has conditions and messages that an episode can have.
-    fn is_sound(&self) -> bool {
+    /// Returns whether a team that was read has conditions and messages that an episode can have, with `stored` floats
+    /// of each stored observation.
+    fn is_sound(&self, stored: usize) -> bool {
         let TrainingTeam { robots, step, episode, messages, .. } = self;
-        *step <= LATEST && episode.is_sound(*robots) && messages.is_sound(*robots, *step, episode.lockstep)
+        *step <= LATEST && episode.is_sound(*robots) && messages.is_sound((*robots, stored), *step, episode.lockstep)
     }
 }
 
@@ -77,7 +78,7 @@ impl Environments {
             && lengths == [robots; 5]
             && snapshot.turned.len() == turned
             && motions.all(|number| number.is_finite())
-            && snapshot.teams.iter().all(TrainingTeam::is_sound)
+            && snapshot.teams.iter().all(|team| team.is_sound(self.stored()))
     }
 
     /// Restores a snapshot. Returns `false` and changes nothing if the snapshot is not of such environments.

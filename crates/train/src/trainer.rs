@@ -13,6 +13,7 @@ use super::record::EpisodeTotals;
 use super::reward::has_reward;
 use super::rollout::{CHUNK, Chunk, RolloutSettings};
 use super::update::{Learner, Outcome, Workspace, initial, update};
+use murmurate::config::ConfigError;
 use murmurate::policy::manifest::Training;
 use murmurate::policy::weights;
 use murmurate::random::Seed;
@@ -81,6 +82,9 @@ pub enum SetupError {
     /// The scenario does not exist, or cannot be built with the configured settings.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
+    /// The policy's observation has a channel that a scenario has not, or a sense has a wrong setting.
+    #[error(transparent)]
+    Observation(#[from] ConfigError),
     /// The bytes are not a checkpoint of this version of the program; the text says why.
     #[error("not a complete checkpoint of this version of the program: {0}")]
     Format(String),
@@ -232,8 +236,10 @@ impl Trainer {
         let build = |robots| self.registry.scenario(&self.plan.scenario, &settings(robots));
         let scenarios = sizes.into_iter().map(build).collect::<Result<Vec<_>, _>>()?;
         let rows = self.plan.config.ppo.environments;
-        let settings = self.settings();
-        let chunk = |first: usize| Chunk::new(CHUNK.min(rows - first), &stage.groups, &scenarios, &settings);
+        let (settings, channels) = (self.settings(), self.plan.config.channels(&scenarios)?);
+        let chunk = |first: usize| {
+            Chunk::new(CHUNK.min(rows - first), &stage.groups, (&scenarios, channels.clone()), &settings)
+        };
         Ok((0..rows).step_by(CHUNK).map(chunk).collect())
     }
 

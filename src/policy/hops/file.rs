@@ -6,6 +6,8 @@
 
 use serde::Deserialize;
 
+use super::entry;
+use super::gru::Gru;
 use super::hop::Hop;
 use super::manifest::{FORMAT, Layers, Manifest};
 use super::perceptron::Perceptron;
@@ -13,11 +15,15 @@ use crate::config::objects;
 use crate::policy::manifest::KEY;
 use crate::policy::mlp::Layer;
 use crate::policy::safetensors::{self, Dtype, SafeTensors, TensorView};
-use crate::policy::weights::{self, Probe, TensorsByName, WeightsError};
+use crate::policy::weights::{self, LayerTensors, Probe, TensorsByName, WeightsError};
 
 /// Tensor of a probe with a number above 0 for each message that was received: the row is the receiver, the column the
 /// sender.
 const HEARD: &str = "probe.heard";
+/// Tensor of a probe with the whole observation of each robot, for a policy that takes channels.
+const OBSERVATION: &str = "probe.observation";
+/// Tensor of a probe with the state of each robot before the step, for a policy with a memory.
+const MEMORY: &str = "probe.memory";
 
 /// Content of a policy file of format 2 that has been checked: metadata, weights and test data.
 #[derive(Debug)]
@@ -28,6 +34,8 @@ pub struct PolicyFile {
     pub(crate) digest: String,
     /// Network that turns an observation into the input of the first hop.
     pub(crate) encoder: Perceptron,
+    /// State between the encoder and the first hop; `None` for a policy without state.
+    pub(crate) memory: Option<Gru>,
     /// Hops of the policy in the order in which they are computed.
     pub(crate) hops: Vec<Hop>,
     /// Network that turns the output of the last hop into the parameters of the action.
@@ -45,6 +53,11 @@ pub struct TeamProbe {
     /// Whether a message was received, with shape \[robots, robots\]: the row is the receiver, the column the sender. A
     /// robot's message to itself does not count.
     pub heard: Vec<bool>,
+    /// Observation of each robot, the encoder's input, with shape \[robots, inputs\], of a policy that takes channels;
+    /// `None` for one whose observation follows from positions, velocities and goals.
+    pub(crate) observation: Option<Vec<f32>>,
+    /// State of each robot before the step, with shape \[robots, floats\]; empty for a policy without state.
+    pub(crate) memory: Vec<f32>,
 }
 
 /// Version of a manifest's format, without any other field.
@@ -70,6 +83,7 @@ pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
     let load = |name: &str, layers: &Layers| perceptron(&tensors, name, layers);
     let encoder = load("encoder", &manifest.encoder)?;
     let decoder = load("decoder", &manifest.decoder)?;
+    let memory = manifest.memory.map(|memory| gru(&tensors, memory.tensors(manifest.encoder.outputs()))).transpose()?;
     let (mut hops, mut begins) = (Vec::new(), 0);
     for (at, (form, input)) in manifest.hops.iter().zip(manifest.widths()).enumerate() {
         let load = |name: &str, layers: &Layers| load(&format!("hops.{at}.{name}"), layers);
@@ -77,35 +91,49 @@ pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
         begins += input;
     }
     let probe = tensors.keys().any(|name| name.starts_with(weights::PROBE));
-    let probe = probe.then(|| team_probe(&tensors, manifest.latent())).transpose()?;
+    let probe = probe.then(|| team_probe(&tensors, &manifest)).transpose()?;
     if let Some(unknown) = unknown(&tensors, &manifest) {
         return Err(WeightsError::Unknown(unknown));
     }
     weights::check_hash(&tensors, &manifest.sha256)?;
     let digest = blake3::hash(bytes).to_hex()[..16].to_owned();
-    Ok(PolicyFile { manifest, digest, encoder, hops, decoder, probe })
+    Ok(PolicyFile { manifest, digest, encoder, memory, hops, decoder, probe })
 }
 
 fn perceptron(tensors: &TensorsByName, name: &str, layers: &Layers) -> Result<Perceptron, WeightsError> {
-    let read = weights::layer_names(name, &layers.widths).map(|(weight, bias, shape)| {
-        let weight = weights::floats(tensors, &weight, &shape, "")?;
-        Ok(Layer::new(&weight, &weights::floats(tensors, &bias, &shape[..1], " (zeros, if the layer has no bias)")?))
-    });
+    let read = weights::layer_names(name, &layers.widths).map(|names| layer(tensors, &names));
     let read = read.collect::<Result<_, WeightsError>>()?;
     Ok(Perceptron::new(read, layers.activation.unwrap_or_default(), layers.output_activation))
 }
 
-fn team_probe(tensors: &TensorsByName, latent: usize) -> Result<TeamProbe, WeightsError> {
-    let team = weights::probe(tensors, latent)?;
+fn gru(tensors: &TensorsByName, [input, state]: [LayerTensors; 2]) -> Result<Gru, WeightsError> {
+    Ok(Gru::new(layer(tensors, &input)?, layer(tensors, &state)?))
+}
+
+fn layer(tensors: &TensorsByName, (weight, bias, shape): &LayerTensors) -> Result<Layer, WeightsError> {
+    let weight = weights::floats(tensors, weight, shape, "")?;
+    Ok(Layer::new(&weight, &weights::floats(tensors, bias, &shape[..1], " (zeros, if the layer has no bias)")?))
+}
+
+fn team_probe(tensors: &TensorsByName, manifest: &Manifest) -> Result<TeamProbe, WeightsError> {
+    let team = weights::probe(tensors, manifest.latent())?;
     let robots = team.position.len() / 2;
-    let heard = weights::floats(tensors, HEARD, &[robots, robots], " (a probe of format 2 says who received whom)")?;
-    Ok(TeamProbe { team, heard: heard.into_iter().map(|heard| heard > 0.0).collect() })
+    let of = |name: &str, width: usize, hint: &'static str| weights::floats(tensors, name, &[robots, width], hint);
+    let heard = of(HEARD, robots, " (a probe of format 2 says who received whom)")?;
+    let inputs = entry::floats(&manifest.observation);
+    let takes_channels = !entry::requests(&manifest.observation).is_empty();
+    let observation = takes_channels.then(|| of(OBSERVATION, inputs, " (the policy takes channels)")).transpose()?;
+    let memory = manifest.memory.map(|memory| of(MEMORY, memory.floats, " (the policy has a memory)")).transpose()?;
+    let heard = heard.into_iter().map(|heard| heard > 0.0).collect();
+    Ok(TeamProbe { team, heard, observation, memory: memory.unwrap_or_default() })
 }
 
 /// Returns the name of a tensor that is neither of a network nor of a probe.
 fn unknown(tensors: &TensorsByName, manifest: &Manifest) -> Option<String> {
     let mut known: Vec<String> = weights::PROBE_TENSORS.iter().map(|name| (*name).to_owned()).collect();
     known.push(HEARD.to_owned());
+    known.extend((!entry::requests(&manifest.observation).is_empty()).then(|| OBSERVATION.to_owned()));
+    known.extend(manifest.memory.map(|_| MEMORY.to_owned()));
     known.extend(manifest.tensors().into_iter().flatten().flat_map(|(weight, bias, _)| [weight, bias]));
     tensors.keys().find(|name| !known.contains(name)).cloned()
 }

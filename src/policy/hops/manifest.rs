@@ -4,12 +4,14 @@
 use serde::{Deserialize, Serialize};
 
 use super::action::Action;
+use super::entry;
+pub use super::entry::{Entry, Named};
 use super::layers::check_layers;
 pub use super::layers::{Input, Layers};
 pub use super::memory::{Cell, Memory};
 use crate::messages::wire::MAX_FEATURES;
 use crate::policy::Draw;
-use crate::policy::manifest::{self, Field, Training};
+use crate::policy::manifest::{self, Training};
 use crate::policy::weights::{self, LayerTensors};
 
 /// Version of the manifest's format of policies with several hops, which this module reads.
@@ -163,7 +165,7 @@ pub struct Manifest {
     /// Name of the scenario (the team's task) for which the policy was trained.
     pub scenario: String,
     /// Entries of the observation vector, in the order of the encoder's inputs.
-    pub observation: Vec<Field>,
+    pub observation: Vec<Entry>,
     /// Features of an edge between two robots, in the order in which networks get them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub edge: Vec<EdgeFeature>,
@@ -252,7 +254,8 @@ impl Manifest {
         if self.hops.is_empty() || self.hops.len() > MAX_HOPS {
             return Err(format!("hops: {} of them; expected 1 to {MAX_HOPS}", self.hops.len()));
         }
-        let observed = ("2 for each of the observation's fields", 2 * self.observation.len());
+        entry::check(&self.observation)?;
+        let observed = ("the values of the observation: 2 for each field", entry::floats(&self.observation));
         check_layers("encoder", &self.encoder, &[], &|_| 0, Some(observed))?;
         let mut input = self.widths()[0];
         for (at, hop) in self.hops.iter().enumerate() {
@@ -340,6 +343,7 @@ fn check_hop(field: &str, hop: &Hop, input: usize, edge: usize) -> Result<(), St
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::policy::hops::perceptron::Activation;
 
     fn manifest() -> Manifest {
         let text = r#"{

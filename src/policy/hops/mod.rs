@@ -8,7 +8,9 @@
 
 pub mod action;
 mod attention;
+pub mod entry;
 pub mod file;
+mod gru;
 pub mod hop;
 mod layers;
 pub mod manifest;

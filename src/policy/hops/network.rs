@@ -3,15 +3,19 @@
 use std::sync::Arc;
 
 use super::action::Action;
+use super::entry;
 use super::file::PolicyFile;
+use super::gru::Gru;
 use super::hop::{Hop, Space};
 use super::manifest::{Deviation, Distribution, Manifest, OUTPUTS};
 use super::perceptron::{Buffers, Perceptron};
-use crate::messages::geometry::{Planar, Vec2};
-use crate::observation::Observation;
+use crate::messages::geometry::Vec2;
+use crate::messages::ids::RobotId;
+use crate::observation::{Observation, Request};
+use crate::policy::failures::Failures;
 use crate::policy::flock::accelerated;
 use crate::policy::mlp::Instructions;
-use crate::policy::{Draw, Interface, Neighbour, Policy};
+use crate::policy::{Broadcast, Draw, Interface, Neighbour, Policy};
 use crate::random::{self, Stream};
 use crate::time::Span;
 
@@ -24,18 +28,21 @@ pub struct HopsWeights {
     pub(super) digest: String,
     /// Network that turns an observation into the input of the first hop.
     pub(super) encoder: Perceptron,
+    /// State between the encoder and the first hop; `None` for a policy without state.
+    pub(super) memory: Option<Gru>,
     /// Hops of the policy in the order in which they are computed.
     pub(super) hops: Vec<Hop>,
     /// Network that turns the output of the last hop into the parameters of the action.
     pub(super) decoder: Perceptron,
     interface: Interface,
+    requests: Vec<Request>,
 }
 
 impl HopsWeights {
     /// Makes the network of a policy file that was read and checked. The file's test data are not compared with the
     /// network; `probe::network` does that.
     pub fn new(file: PolicyFile) -> HopsWeights {
-        let PolicyFile { manifest, digest, encoder, hops, decoder, .. } = file;
+        let PolicyFile { manifest, digest, encoder, memory, hops, decoder, .. } = file;
         let interface = Interface {
             features: manifest.latent(),
             radius_m: manifest.radius_m,
@@ -43,7 +50,8 @@ impl HopsWeights {
             limit_m_s: manifest.limit_m_s,
             hold: Span::from_secs(manifest.hold_s),
         };
-        HopsWeights { manifest, digest, encoder, hops, decoder, interface }
+        let requests = entry::requests(&manifest.observation);
+        HopsWeights { manifest, digest, encoder, memory, hops, decoder, interface, requests }
     }
 
     /// Returns the parameters that the rest of the system needs to run the network, such as message size and period.
@@ -61,10 +69,43 @@ impl HopsWeights {
         &self.digest
     }
 
+    /// Returns the number of floats of the first hop's input.
+    fn first(&self) -> usize {
+        self.memory.as_ref().map_or(self.encoder.outputs(), Gru::floats)
+    }
+
+    /// Returns the channels that the policy takes, in the order in which it gets their values.
+    pub fn requests(&self) -> &[Request] {
+        &self.requests
+    }
+
     /// Returns the number of weights and biases of all networks.
     pub fn parameters(&self) -> usize {
         let hops: usize = self.hops.iter().map(Hop::parameters).sum();
-        self.encoder.parameters() + hops + self.decoder.parameters()
+        self.encoder.parameters() + self.memory.as_ref().map_or(0, Gru::parameters) + hops + self.decoder.parameters()
+    }
+}
+
+/// What a robot remembers from one step to the next; all is empty for a policy without state.
+#[derive(Debug, Default)]
+struct State {
+    /// State after the last step.
+    now: Vec<f32>,
+    /// State before the last step.
+    before: Vec<f32>,
+    /// Output of the encoder.
+    encoded: Vec<f32>,
+    /// Buffer of the cell.
+    gates: Vec<f32>,
+}
+
+impl State {
+    /// Returns the state at the start, of a policy whose encoder has `encoded` outputs.
+    fn new(memory: Option<&Gru>, encoded: usize) -> State {
+        let Some(gru) = memory else { return State::default() };
+        let zeros = |floats: usize| vec![0.0; floats];
+        let [now, before, gates] = [1, 1, 6].map(|times| zeros(times * gru.floats()));
+        State { now, before, encoded: zeros(encoded), gates }
     }
 }
 
@@ -75,6 +116,10 @@ pub(crate) struct Hops {
     draw: Draw,
     instructions: Instructions,
     observation: Vec<f32>,
+    state: State,
+    /// Whether the present step counts as none: a value of a channel is not known.
+    fails: bool,
+    failures: Failures,
     /// Output of the last hop.
     last: Vec<f32>,
     buffers: Buffers,
@@ -83,26 +128,62 @@ pub(crate) struct Hops {
 }
 
 impl Hops {
-    /// Makes one robot's instance of `network`, which draws actions from the output distribution by the method `draw`.
-    pub(crate) fn new(network: Arc<HopsWeights>, draw: Draw) -> Hops {
-        Hops::with_instructions(network, draw, Instructions::Detected)
-    }
-
-    /// Makes one robot's instance of `network` that runs on the given processor instructions; `draw` is the method of
-    /// drawing actions. The instruction set changes the speed, and results are the same bit for bit.
-    pub(crate) fn with_instructions(network: Arc<HopsWeights>, draw: Draw, instructions: Instructions) -> Hops {
+    /// Makes the instance of `robot` of `network`, which draws actions from the output distribution by the method
+    /// `draw`.
+    pub(crate) fn new(network: Arc<HopsWeights>, draw: Draw, robot: RobotId) -> Hops {
         let mut buffers = Buffers::default();
         buffers.reserve(&network.encoder, 1);
         buffers.reserve(&network.decoder, 1);
         Hops {
             observation: vec![0.0; network.encoder.inputs()],
+            state: State::new(network.memory.as_ref(), network.encoder.outputs()),
+            fails: false,
+            failures: Failures::new(robot),
             last: vec![0.0; network.decoder.inputs()],
             buffers,
             spaces: network.hops.iter().map(|_| Space::default()).collect(),
             network,
             draw,
-            instructions,
+            instructions: Instructions::Detected,
         }
+    }
+
+    /// Computes the input of the first hop from the observation, and the state after the step with it, and writes it
+    /// into `features`, whose inputs of later hops become zero.
+    fn encode_observed(&mut self, features: &mut [f32]) {
+        let (network, state, buffers) = (&*self.network, &mut self.state, &mut self.buffers);
+        let (first, later) = features.split_at_mut(network.first());
+        later.fill(0.0);
+        let observation = &self.observation;
+        self.instructions.run(
+            #[inline(always)]
+            || match &network.memory {
+                None => network.encoder.apply(1, observation, first, buffers),
+                Some(gru) => {
+                    network.encoder.apply(1, observation, &mut state.encoded, buffers);
+                    std::mem::swap(&mut state.now, &mut state.before);
+                    gru.apply(&state.encoded, &state.before, &mut state.now, &mut state.gates);
+                    first.copy_from_slice(&state.now);
+                }
+            },
+        );
+    }
+
+    /// Encodes an observation of test data: that of `own`, or the first values of `observation` for a policy that takes
+    /// channels. The first floats of `memory` are the state before.
+    pub(crate) fn encode_probed(
+        &mut self,
+        own: &Observation,
+        observation: Option<&[f32]>,
+        memory: &[f32],
+        features: &mut [f32],
+    ) {
+        match observation {
+            Some(values) => self.observation.iter_mut().zip(values).for_each(|(to, value)| *to = *value),
+            None => entry::write(&self.network.manifest.observation, own, &mut self.observation),
+        }
+        self.state.now.iter_mut().zip(memory).for_each(|(to, value)| *to = *value);
+        self.encode_observed(features);
     }
 
     /// Returns the decoder's raw outputs, the parameters of the distribution of a velocity in the policy frame: mean_x,
@@ -136,17 +217,38 @@ impl Policy for Hops {
         self.network.hops.len()
     }
 
+    fn reset(&mut self, _seed: u64) {
+        self.state.now.fill(0.0);
+        self.state.before.fill(0.0);
+    }
+
+    fn undo(&mut self) {
+        self.state.now.copy_from_slice(&self.state.before);
+    }
+
+    fn forgets_after(&self) -> Option<Span> {
+        self.network.manifest.memory.map(|memory| Span::from_secs(memory.after_gap_s))
+    }
+
+    fn memory(&self) -> Option<&[f32]> {
+        self.network.manifest.memory.map(|_| &*self.state.now)
+    }
+
     fn encode(&mut self, own: &Observation, features: &mut [f32]) {
-        let (network, observation, buffers) = (&*self.network, &mut self.observation, &mut self.buffers);
-        for (entry, field) in observation.chunks_exact_mut(2).zip(&network.manifest.observation) {
-            entry.copy_from_slice(&field.of(own).to_array());
+        let network = &*self.network;
+        self.fails = !own.values.iter().all(|value| value.is_finite());
+        if self.fails {
+            self.state.before.copy_from_slice(&self.state.now);
+            self.failures.fail(&network.digest, &entry::unknown(&network.manifest.observation, own.values));
+            return;
         }
-        let (first, later) = features.split_at_mut(network.encoder.outputs());
-        later.fill(0.0);
-        self.instructions.run(
-            #[inline(always)]
-            || network.encoder.apply(1, observation, first, buffers),
-        );
+        self.failures.succeed();
+        entry::write(&network.manifest.observation, own, &mut self.observation);
+        self.encode_observed(features);
+    }
+
+    fn broadcast(&self) -> Broadcast<'_> {
+        if self.fails { Broadcast::Failed } else { Broadcast::Encoded }
     }
 
     fn relay(&mut self, hop: usize, own: &Observation, features: &mut [f32], neighbours: &[Neighbour]) {
@@ -223,7 +325,7 @@ mod tests {
 
     fn action(network: &Arc<HopsWeights>, draw: Draw) -> Vec2 {
         let own = Observation::new(Motion::default(), Vec2::zeros());
-        Hops::new(Arc::clone(network), draw).act(&own, &[0.0], &[], &mut Seed::of_run(1).stream("draw"))
+        Hops::new(Arc::clone(network), draw, RobotId(0)).act(&own, &[0.0], &[], &mut Seed::of_run(1).stream("draw"))
     }
 
     #[test]
@@ -244,7 +346,7 @@ mod tests {
         network.manifest.action = Action::Acceleration;
         let motion = Motion { position: Vec2::zeros(), velocity: Vec2::new(0.5, 0.5) };
         let own = Observation::new(motion, Vec2::zeros());
-        let mut policy = Hops::new(Arc::new(network), Draw::Mean);
+        let mut policy = Hops::new(Arc::new(network), Draw::Mean, RobotId(0));
         let velocity = policy.act(&own, &[0.0], &[], &mut Seed::of_run(1).stream("draw"));
         assert!((velocity - Vec2::new(0.52, 0.45)).norm() < 1e-6, "{velocity:?}");
     }

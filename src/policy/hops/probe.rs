@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::file::{PolicyFile, TeamProbe};
 use super::network::{Hops, HopsWeights};
 use crate::messages::geometry::{Motion, Vec2};
+use crate::messages::ids::RobotId;
 use crate::observation::Observation;
 use crate::policy::probe::{Difference, largest};
 use crate::policy::weights::{Probe, WeightsError};
@@ -21,9 +22,13 @@ impl TeamProbe {
         let motion = |robot| Motion { position: at(&team.position, robot), velocity: at(&team.velocity, robot) };
         let own: Vec<Observation> =
             (0..robots).map(|robot| Observation::new(motion(robot), at(&team.goal, robot))).collect();
-        let mut policy = Hops::new(Arc::clone(network), Draw::Mean);
+        let mut policy = Hops::new(Arc::clone(network), Draw::Mean, RobotId(0));
         let mut latents = vec![vec![0.0; network.interface().features]; robots];
-        own.iter().zip(&mut latents).for_each(|(own, latent)| policy.encode(own, latent));
+        for (robot, (own, latent)) in own.iter().zip(&mut latents).enumerate() {
+            let observation = self.observation.as_ref().map(|all| &all[robot * (all.len() / robots)..]);
+            let memory = &self.memory[robot * (self.memory.len() / robots)..];
+            policy.encode_probed(own, observation, memory, latent);
+        }
         for hop in 1..policy.hops() {
             let before = latents.clone();
             for (robot, latent) in latents.iter_mut().enumerate() {

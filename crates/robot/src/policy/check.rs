@@ -12,6 +12,7 @@ use super::{check_hops, check_onnx, onnx};
 use crate::output::{print, read_bytes, talk};
 use crate::{BadInput, Ended};
 use murmurate::policy::hops;
+use murmurate::policy::hops::manifest::Entry;
 use murmurate::policy::manifest::{Activation, Aggregation, Architecture, EdgeField, Manifest};
 use murmurate::policy::probe;
 use murmurate::policy::shipped;
@@ -162,7 +163,10 @@ fn table(facts: &Facts<Manifest>) -> String {
         ("scenario", manifest.scenario.clone()),
         ("architecture", format!("{architecture}; activation relu, aggregation sum")),
         ("networks", networks(facts)),
-        ("observation", observation(&manifest.observation)),
+        (
+            "observation",
+            observation(manifest.observation.iter().map(|field| Entry::from(*field)).collect::<Vec<_>>().iter()),
+        ),
         ("edge", list(edge.collect())),
         (
             "action",

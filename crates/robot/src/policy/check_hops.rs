@@ -1,8 +1,10 @@
 //! The table of `murmurate policy check` for a policy file of format 2.
 
-use super::facts::{Facts, drawn, lines, list, made, observation, probe};
+use super::facts::{Facts, drawn, lines, list, made, observation, probe, state};
 use murmurate::policy::hops::action::Action;
-use murmurate::policy::hops::manifest::{Aggregation, Deviation, Distribution, EdgeFeature, Hop, Layers, Manifest};
+use murmurate::policy::hops::manifest::{
+    Aggregation, Cell, Deviation, Distribution, EdgeFeature, Hop, Layers, Manifest, Memory,
+};
 
 /// Returns the table of `policy check` for a policy of several hops: the properties of its file, as text.
 pub(super) fn table(facts: &Facts<Manifest>) -> String {
@@ -27,11 +29,14 @@ pub(super) fn table(facts: &Facts<Manifest>) -> String {
         ("architecture", format!("format 2, hops: {hops}; {} parameters", facts.parameters)),
         ("encoder", widths(&manifest.encoder)),
     ];
+    rows.extend(manifest.memory.map(|Memory { cell: Cell::Gru, floats, after_gap_s }| {
+        ("memory", format!("gated recurrent unit; {}", state(Some((floats, after_gap_s)))))
+    }));
     let names: Vec<String> = (0..hops).map(|at| format!("hop {at}")).collect();
     rows.extend(names.iter().map(String::as_str).zip(manifest.hops.iter().map(hop)));
     rows.extend([
         ("decoder", format!("{}; {distribution} {deviation}", widths(&manifest.decoder))),
-        ("observation", observation(&manifest.observation)),
+        ("observation", observation(manifest.observation.iter())),
         ("edge", list(edge.collect())),
         (
             "action",

@@ -2,11 +2,11 @@
 
 use murmurate::config::shown;
 use murmurate::messages::wire::{MAX_PART_BYTES, Missing};
-use murmurate::observation::{Frame, Request};
+use murmurate::observation::Request;
 use murmurate_onnx::contract::{Contract, Distribution, Edges, Feature, Kind, Pad, Sign};
 use serde::Serialize;
 
-use super::facts::{lines, list};
+use super::facts::{channel, in_frame, lines, list, state};
 use super::onnx::Sound;
 
 /// Properties of a policy of format 3, which `policy check` prints.
@@ -51,9 +51,7 @@ pub(super) fn table(facts: &Facts) -> String {
             contract.hold_s
         ),
     };
-    let state = contract.state.map_or("none".to_owned(), |state| {
-        format!("{} floats, from zeros at each episode and after a gap of {} s", state.floats, state.after_gap_s)
-    });
+    let kept = contract.state.map(|state| (state.floats, state.after_gap_s));
     let mut rows = vec![
         ("name", contract.name.clone()),
         ("graphs", graphs),
@@ -63,7 +61,7 @@ pub(super) fn table(facts: &Facts) -> String {
         ("neighbours", format!("at most {}: {places}", contract.max_neighbours)),
         ("action", action(contract)),
         ("messages", message),
-        ("state", state),
+        ("state", state(kept)),
         ("step", format!("{:.0} us with {}, here", facts.sound.step_us, neighbours(contract.max_neighbours))),
     ];
     rows.extend(facts.sound.remarks.iter().map(|remark| ("remark", remark.clone())));
@@ -92,21 +90,8 @@ fn neighbours(count: usize) -> String {
 }
 
 fn observation(requests: &[Request]) -> String {
-    let one = |request: &Request| {
-        let frame = request.frame.map_or(String::new(), |frame| format!(", {}", in_frame(frame)));
-        let of = if request.channel == request.input { String::new() } else { format!(" = {}", request.channel) };
-        format!("{}{of} {:?} [{}{frame}]", request.input, request.shape, request.unit)
-    };
-    let all: Vec<String> = requests.iter().map(one).collect();
+    let all: Vec<String> = requests.iter().map(channel).collect();
     list(all.iter().map(String::as_str).collect())
-}
-
-fn in_frame(frame: Frame) -> &'static str {
-    match frame {
-        Frame::Policy => "policy frame",
-        Frame::World => "world frame",
-        Frame::Body => "body frame",
-    }
 }
 
 fn edges(edges: Option<&Edges>) -> String {

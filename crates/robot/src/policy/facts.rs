@@ -3,7 +3,9 @@
 use serde::Serialize;
 
 use murmurate::config::shown;
+use murmurate::observation::{Frame, Request};
 use murmurate::policy::Draw;
+use murmurate::policy::hops::manifest::{Entry, Named};
 use murmurate::policy::manifest::{Field, Training};
 use murmurate::policy::probe::Difference;
 use murmurate::policy::weights::Probe;
@@ -56,16 +58,43 @@ pub fn list(names: Vec<&str>) -> String {
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
-/// Describes the parts of a policy's observation as text, with their units and frame.
-pub fn observation(fields: &[Field]) -> String {
-    let name = |field: &Field| match field {
-        Field::GoalMinusPosition => "goal - position [m]",
-        Field::Position => "position [m]",
-        Field::PositionPlusVelocity => "position + velocity x 1 s [m]",
-        Field::Velocity => "velocity [m/s]",
-        Field::FilterAndLag => "safety filter on (1) or off (0), and lag of the drivetrain [s]",
+/// Describes the entries of a policy's observation as text, with their units and frames.
+pub fn observation<'a>(entries: impl Iterator<Item = &'a Entry>) -> String {
+    let name = |entry: &Entry| match entry {
+        Entry::Field(Field::GoalMinusPosition) => "goal - position [m]".to_owned(),
+        Entry::Field(Field::Position) => "position [m]".to_owned(),
+        Entry::Field(Field::PositionPlusVelocity) => "position + velocity x 1 s [m]".to_owned(),
+        Entry::Field(Field::Velocity) => "velocity [m/s]".to_owned(),
+        Entry::Field(Field::FilterAndLag) => {
+            "safety filter on (1) or off (0), and lag of the drivetrain [s]".to_owned()
+        }
+        Entry::Channel(Named { name, observed }) => channel(&observed.request(name)),
     };
-    format!("{}; policy frame", list(fields.iter().map(name).collect()))
+    let names: Vec<String> = entries.map(name).collect();
+    format!("{}; policy frame", list(names.iter().map(String::as_str).collect()))
+}
+
+/// Describes as text a channel that a policy takes, with its shape, unit and frame.
+pub fn channel(request: &Request) -> String {
+    let frame = request.frame.map_or(String::new(), |frame| format!(", {}", in_frame(frame)));
+    let of = if request.channel == request.input { String::new() } else { format!(" = {}", request.channel) };
+    format!("{}{of} {:?} [{}{frame}]", request.input, request.shape, request.unit)
+}
+
+/// Returns the name of a frame in texts.
+pub fn in_frame(frame: Frame) -> &'static str {
+    match frame {
+        Frame::Policy => "policy frame",
+        Frame::World => "world frame",
+        Frame::Body => "body frame",
+    }
+}
+
+/// Describes as text what a policy keeps from one step to the next.
+pub fn state(state: Option<(usize, f64)>) -> String {
+    state.map_or("none".to_owned(), |(floats, after_gap_s)| {
+        format!("{floats} floats, from zeros at each episode and after a gap of {after_gap_s} s")
+    })
 }
 
 /// Describes as text how actions are taken from their distribution: its mean, or samples.

@@ -195,7 +195,7 @@ impl Config {
         Manifest {
             format: FORMAT,
             scenario: scenario.to_owned(),
-            observation: vec![Field::Velocity],
+            observation: vec![Field::Velocity.into()],
             edge: edge.clone(),
             // The format has an encoder; nothing uses its one output, as the first hop takes edges alone.
             encoder: layers(&[], 2, &[1], Activation::Linear),

@@ -14,6 +14,7 @@ use murmurate::messages::geometry::{Motion, Planar, Task, Vec2};
 use murmurate::messages::local::Contacts;
 use murmurate::observation::Observation;
 use murmurate::policy::flock::MAX_ACCELERATION_M_S2;
+use murmurate::policy::hops::entry;
 use murmurate::policy::hops::hop::write_edge;
 use murmurate::policy::hops::manifest::Manifest;
 use murmurate::policy::{Model, Neighbour, Policy};
@@ -143,7 +144,7 @@ impl TaughtTeam<'_> {
         let (robots, mut observations) = (self.motion.len(), Vec::new());
         for robot in 0..robots {
             let seen = self.observation(robot);
-            manifest.observation.iter().for_each(|field| observations.extend(field.of(&seen).to_array()));
+            entry::append(&manifest.observation, &seen, &mut observations);
         }
         let mut hidden = network.encode(parameters, &observations, &mut self.space).to_vec();
         self.graph.clear();

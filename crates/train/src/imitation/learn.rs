@@ -4,8 +4,9 @@ use super::config::Imitation;
 use super::episode::{Setting, TaughtEpisode, limited, write_features};
 use super::graph::Graph;
 use super::network::Space;
-use murmurate::messages::geometry::{Planar, Vec2};
+use murmurate::messages::geometry::Vec2;
 use murmurate::observation::Observation;
+use murmurate::policy::hops::entry;
 
 /// Steps of an episode that are learnt together.
 #[derive(Clone, Copy, Debug)]
@@ -77,8 +78,7 @@ impl Shard {
                 for robot in 0..robots {
                     let motion = step.motion[robot];
                     let seen = Observation::new(motion, Vec2::zeros());
-                    let fields = manifest.observation.iter();
-                    fields.for_each(|field| graph.observations.extend(field.of(&seen).to_array()));
+                    entry::append(&manifest.observation, &seen, &mut graph.observations);
                     let range = step.first[robot] as usize..step.first[robot + 1] as usize;
                     for (sender, age) in &step.heard[range] {
                         let Some(sent) = at.checked_sub(usize::from(*age)).filter(|sent| *sent >= from) else {

@@ -14,12 +14,12 @@ pub use phases::{LayoutKey, TeamStates};
 pub use state::{StateError, layouts_of, options_of};
 
 use super::conditions::EpisodeConditions;
-use super::environments::Environments;
+use super::environments::{Environments, TrainingTeam};
 use super::message_buffer::{HISTORY_STEPS, HeldMessage};
-use super::observe;
 use super::parallel::in_parallel;
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::local::Contacts;
+use murmurate::policy::hops::entry::Entry;
 use murmurate::random::{Seed, Stream};
 use murmurate::senses::Scanner;
 
@@ -145,6 +145,8 @@ impl VectorEnvironment {
             let rows = CHUNK.min(options.environments - first);
             let scenarios = std::slice::from_ref(&options.scenario);
             let environments = Environments::new(rows, &[vec![robots]], scenarios).equipped(&options.chassis());
+            let entries: Vec<Entry> = options.observation.iter().copied().map(Entry::from).collect();
+            let environments = environments.observing(&entries, None);
             let mut chunk = Chunk {
                 environments,
                 streams: (0..rows).map(|row| stream_of(seed, first + row)).collect(),
@@ -367,9 +369,8 @@ impl Chunk {
         }
         let width = 2 * options.observation.len();
         for (robot, to) in environments.teams[row].range().zip(to.chunks_exact_mut(width)) {
-            let (task, estimate) = (&environments.tasks[robot], environments.estimate(row, robot));
-            let dynamics = environments.teams[row].episode.dynamics();
-            observe::own(&options.observation, environments.scenario(row), dynamics, (task, &estimate), to);
+            let TrainingTeam { first, step, messages, .. } = &environments.teams[row];
+            environments.observation(row, messages, (*step, robot - first), to);
         }
     }
 
@@ -385,7 +386,7 @@ impl Chunk {
         to.age_s.fill(0.0);
         to.message.fill(0.0);
         let (team, robots) = (&mut environments.teams[row], lengths.robots);
-        let (step, first) = (team.step, team.first);
+        let step = team.step;
         let mut messages = std::mem::take(&mut team.messages);
         // Floats that a policy puts out with its action are sent after the decision, so the newest are a step old.
         let behind = u32::from(matches!(options.content, Content::Actions(_)));
@@ -403,9 +404,7 @@ impl Chunk {
                     let at = (row * HISTORY_STEPS + sent as usize % HISTORY_STEPS) * robots + sender;
                     content.copy_from_slice(&outputs[at * lengths.message..][..lengths.message]);
                 } else {
-                    let (scenario, dynamics) = (environments.scenario(row), episode.dynamics());
-                    let seen = (&environments.tasks[first + sender], &messages.estimate(sent, sender));
-                    observe::own(&options.observation, scenario, dynamics, seen, content);
+                    environments.observation(row, messages, (sent, sender), content);
                 }
             };
             messages.receive((episode, options.radius_m), (step, behind), receiver, &mut streams[row], each);
@@ -435,7 +434,7 @@ mod tests {
             conditions: config.conditions.clone(),
             reward: config.reward,
             body: chassis::Settings::default(),
-            observation: config.policy.observation.clone(),
+            observation: config.policy.observation.iter().filter_map(Entry::field).collect(),
             radius_m: 2.0,
             limit_m_s: 1.5,
             episode_s: 1.0,

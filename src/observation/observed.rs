@@ -1,13 +1,17 @@
-//! Observations of a contract: what a graph takes of its own robot.
+//! Observations in the file of a policy: channels and senses of the robot that it takes, with shape, unit and frame.
 
-use murmurate::observation::{Frame, IfStale, Miss, Taking, Unit};
 use serde::{Deserialize, Serialize};
 
-/// Observation that a graph takes, a channel or a sense of the robot.
+use super::bound::{MAX_FLOATS, Request};
+use super::channel::Unit;
+use super::frame::Frame;
+use super::sense::{IfStale, Miss, Taking};
+
+/// Observation that a policy takes, a channel or a sense of the robot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Observed {
-    /// Name of the channel; the name of the input if it is left out.
+    /// Name of the channel; the name of the policy's input if it is left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
     /// Number of values along each axis, without the axis of robots.
@@ -35,9 +39,27 @@ pub struct Observed {
 }
 
 impl Observed {
-    /// Returns how the policy takes the values of a sense.
-    pub(crate) fn taking(&self) -> Taking {
+    /// Returns the number of values, if the shape is one: one to three axes, for at most [`MAX_FLOATS`] values.
+    ///
+    /// # Errors
+    /// The reason, if it is none.
+    pub fn floats(&self) -> Result<usize, String> {
+        let axes = 1..=3;
+        let floats = self.shape.iter().try_fold(1, |floats: usize, axis| floats.checked_mul(*axis));
+        let floats = floats.filter(|floats| axes.contains(&self.shape.len()) && (1..=MAX_FLOATS).contains(floats));
+        floats.ok_or_else(|| format!("it is not 1 to 3 numbers above zero for at most {MAX_FLOATS} values"))
+    }
+
+    /// Returns the request for this observation by the policy's input named `input`.
+    pub fn request(&self, input: &str) -> Request {
         let Observed { from_rad, range_m, miss, stale_after_s, if_stale, .. } = *self;
-        Taking { from_rad, range_m, miss, stale_after_s, if_stale }
+        Request {
+            input: input.to_owned(),
+            channel: self.source.as_deref().unwrap_or(input).to_owned(),
+            shape: self.shape.clone(),
+            unit: self.unit,
+            frame: self.frame,
+            taking: Taking { from_rad, range_m, miss, stale_after_s, if_stale },
+        }
     }
 }

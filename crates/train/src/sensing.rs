@@ -1,0 +1,114 @@
+//! Observations of the robots of training environments: fields of the robots' states, and channels and senses for
+//! policies that take them.
+//!
+//! An observation of fields follows from an estimate, so it is made when it is asked for. One with channels is made when
+//! the robot measures its state, and stored: a message is encoded from the observation that its sender had then.
+
+use super::channels::{Channels, Observing, Place};
+use super::environments::{Environments, TrainingTeam};
+use super::message_buffer::MessageBuffer;
+use murmurate::messages::geometry::{Motion, Task};
+use murmurate::observation::Observation;
+use murmurate::policy::hops::entry::{self, Entry};
+use murmurate::random::Stream;
+use murmurate::time::Span;
+use murmurate::world::kinematic::PERIOD;
+
+impl Environments {
+    /// Returns the environments with these entries of an observation. `channels` are those among the entries, `None` if
+    /// all are fields. All episodes must be started afterwards.
+    pub fn observing(mut self, entries: &[Entry], channels: Option<Channels>) -> Environments {
+        self.observing = Observing { entries: entries.into(), channels };
+        self
+    }
+
+    /// Returns the number of floats of the observation of a robot that is stored for each step; 0 if none is.
+    pub(super) fn stored(&self) -> usize {
+        self.observing.channels.as_ref().map_or(0, |_| entry::floats(&self.observing.entries))
+    }
+
+    /// Makes and stores the observations of the robots of a team for the current step, if the policy takes channels.
+    /// Noise of senses is drawn from `stream`.
+    pub(super) fn perceive(&mut self, team: usize, stream: &mut Stream) {
+        let width = self.stored();
+        if width == 0 {
+            return;
+        }
+        let mut observing = std::mem::take(&mut self.observing);
+        for robot in self.teams[team].range() {
+            let estimate = self.estimate(team, robot);
+            let observation = self.seen(&mut observing, (team, robot), &estimate, Some(stream));
+            let TrainingTeam { first, step, messages, .. } = &mut self.teams[team];
+            messages.store_observation((*step, robot - *first), &observation);
+        }
+        self.observing = observing;
+    }
+
+    /// Writes the observation that the robot with index `robot` in the team with index `team` had in `step` into `to`.
+    /// `messages` are those of its team, where that step is among the stored ones.
+    pub fn observation(&self, team: usize, messages: &MessageBuffer, (step, robot): (u32, usize), to: &mut [f32]) {
+        match self.observing.channels {
+            Some(_) => to.copy_from_slice(messages.observation(step, robot, to.len())),
+            None => {
+                let robot_of_all = self.teams[team].first + robot;
+                let own = self.own((team, robot_of_all), &messages.estimate(step, robot));
+                entry::write(&self.observing.entries, &own, to);
+            }
+        }
+    }
+
+    /// Writes the observation of the robot with index `robot` among all robots that follows from the true state, without
+    /// any noise, into `to`. Its team has the index `team`.
+    pub fn true_observation(&mut self, team: usize, robot: usize, to: &mut [f32]) {
+        let truth = self.point(robot);
+        if self.observing.channels.is_none() {
+            return entry::write(&self.observing.entries, &self.own((team, robot), &truth), to);
+        }
+        let mut observing = std::mem::take(&mut self.observing);
+        to.copy_from_slice(&self.seen(&mut observing, (team, robot), &truth, None));
+        self.observing = observing;
+    }
+
+    /// Returns the state of a robot with the motion `estimate`, world frame, as the policy observes it, without values
+    /// of channels.
+    fn own(&self, (team, robot): (usize, usize), estimate: &Motion) -> Observation<'static> {
+        let (scenario, task, of_team) = (self.scenario(team), &self.tasks[robot], &self.teams[team]);
+        let frame = scenario.frame(task);
+        let yaw_rate = self.rolling.as_ref().map_or(0.0, |rolling| rolling.wheels[robot].yaw_rate());
+        Observation {
+            dynamics: of_team.episode.dynamics(),
+            frame,
+            heading: Some(frame.turn_angle(self.heading(robot))),
+            yaw_rate: Some(yaw_rate),
+            elapsed: Span::from_nanos(u64::from(of_team.step) * PERIOD.as_nanos()),
+            ..scenario.observe(task, estimate)
+        }
+    }
+
+    /// Returns the observation of a robot with the motion `estimate`, world frame. Noise of senses is drawn from
+    /// `stream`; without it there is none.
+    fn seen(
+        &self,
+        observing: &mut Observing,
+        (team, robot): (usize, usize),
+        estimate: &Motion,
+        stream: Option<&mut Stream>,
+    ) -> Vec<f32> {
+        let Observing { entries, channels: Some(channels) } = observing else { return Vec::new() };
+        let range = self.teams[team].range();
+        let place = Place {
+            arena: self.arena(team),
+            centre: self.position[robot],
+            heading: self.heading(robot),
+            team: &self.position[range.clone()],
+            robot: robot - range.start,
+        };
+        channels.sense(place, stream);
+        let own = self.own((team, robot), estimate);
+        let tasks: Vec<Option<Task>> = self.tasks[range].iter().copied().map(Some).collect();
+        let values = channels.values(&own, &self.tasks[robot], &tasks);
+        let mut observation = Vec::new();
+        entry::append(entries, &Observation { values, ..own }, &mut observation);
+        observation
+    }
+}
