@@ -28,7 +28,7 @@ fn main() {
 /// Encode and act, with four neighbours.
 fn step(bencher: Bencher, model: Model, instructions: Instructions) {
     let Model::Gnn(network, _) = model else { unreachable!("an untrained model is a network") };
-    let mut gnn = Gnn::with_instructions(network, Draw::Sample, instructions);
+    let mut gnn = Gnn::new(network, Draw::Sample, RobotId(0)).with_instructions(instructions);
     let observation = Observation::new(Motion::at_rest(Vec2::new(0.3, -1.5)), Vec2::new(-0.2, 1.5));
     let mut features = vec![0.0; gnn.interface().features];
     let heard: Vec<Vec<f32>> =

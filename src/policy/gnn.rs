@@ -1,101 +1,64 @@
-//! The message-passing network of the paper (section III), evaluated for one robot, in its two architectures.
+//! Message-passing networks, evaluated for one robot: policies of formats 1 and 2.
 //!
-//! Robot i encodes its observation x_i and broadcasts h_i = encoder(x_i). In the published architecture the action is
-//! update(sum over j of message(h_j - h_i)). The sum includes the robot's own term message(0), a constant that is not
-//! zero. In the full architecture, equation (1), the action is update(\[h_i, sum over j of message(\[h_i, h_j,
-//! e_ij\])\]). Here e_ij are the features of the edge, and the sum has no own term.
+//! A policy is an encoder, a memory if it has one, one or more hops of message passing (`hops`), and a decoder. Robot i
+//! broadcasts the inputs of all hops in one message. The two architectures of format 1 are policies of one hop without a
+//! decoder. With h_i = encoder(observation of robot i) they are:
 //!
-//! In both, the last message layer is linear, so it is applied once, after the sum. The first update layer is linear
-//! too, so both are folded into one layer. In the full architecture, h_i contributes to the first layers of the message
-//! and the update network. This part is computed once a step, and each neighbour's sums start from it.
+//! - published: update(sum over j of message(h_j - h_i)), a sum with the robot's own term message(0);
+//! - full, equation (1) of arXiv 2111.01777: update(\[h_i, sum over j of message(\[h_i, h_j, e_ij\])\]), a sum without an
+//!   own term.
 
 use std::sync::Arc;
 
-use super::manifest::{Architecture, EdgeField, Manifest};
-use super::mlp::{Instructions, Layer, Mlp, Relu, Scratch};
-use super::weights::PolicyFile;
-use super::{Draw, Interface, Neighbour, Policy};
-use crate::messages::geometry::{Planar, Vec2};
-use crate::observation::Observation;
-use crate::random;
+use super::failures::Failures;
+use super::file::{AnyManifest, Networks, PolicyFile};
+use super::hops::entry::{self, Entry};
+use super::hops::gru::Gru;
+use super::hops::hop::{Hop, Space};
+use super::hops::manifest::OUTPUTS;
+use super::hops::output::Meaning;
+use super::hops::perceptron::Buffers;
+use super::mlp::Instructions;
+use super::{Broadcast, Draw, Interface, Neighbour, Policy};
+use crate::messages::geometry::Vec2;
+use crate::messages::ids::RobotId;
+use crate::observation::{Observation, Request};
 use crate::random::Stream;
 use crate::time::Span;
 
 /// Weights and parameters of a trained message-passing network, which all robots of a team share.
 #[derive(Debug)]
 pub struct GnnWeights {
-    manifest: Manifest,
+    manifest: AnyManifest,
     assumed: Option<String>,
     digest: String,
+    parameters: usize,
+    networks: Networks,
     interface: Interface,
-    encoder: Mlp,
-    own: OwnLatent,
-    /// All message layers but the last, which is linear. Full: without the first as well.
-    message: Option<Mlp>,
-    /// The last message layer and the first update layer folded into one. Full: without the robot's own part.
-    aggregate: Layer,
-    /// Contribution of each term of the sum to the output of `aggregate`: the bias of the last message layer.
-    term_bias: Vec<f32>,
-    /// All update layers but the first.
-    update: Option<Mlp>,
-}
-
-/// Use of the robot's own latent.
-#[derive(Debug)]
-enum OwnLatent {
-    /// Published: it is subtracted from each neighbour's latent. Holds the robot's own term of the sum, message(0)
-    /// before the last layer, which is the same at every step.
-    Term(Vec<f32>),
-    /// Full: it is an input of both networks.
-    Parts {
-        /// The first message layer; `None` if that is also the last, which is folded as a whole.
-        message: Option<FirstLayer>,
-        /// Part of the first update layer that takes the robot's own latent.
-        update: Layer,
-    },
-}
-
-/// The first message layer of the full architecture, split by its inputs.
-#[derive(Debug)]
-struct FirstLayer {
-    /// The part for the robot's own latent, with the bias.
-    own: Layer,
-    /// The part for the neighbour's latent and the edge features.
-    neighbour: Layer,
+    meaning: Meaning,
+    forgets_after: Option<Span>,
+    entries: Vec<Entry>,
+    requests: Vec<Request>,
 }
 
 impl GnnWeights {
     /// Makes the network of a policy file that was read and checked. The file's test data are not compared with the
     /// network; `probe::network` does that.
     pub fn new(file: PolicyFile) -> GnnWeights {
-        let PolicyFile { manifest, assumed, digest, networks: [encoder, message, update], .. } = file;
-        let part = |layers: &[Layer]| (!layers.is_empty()).then(|| Mlp::new(layers.to_vec()));
-        let (last, rest) = message.layers().split_last().expect("a perceptron has a layer");
-        let (first, update_rest) = update.layers().split_first().expect("a perceptron has a layer");
-        let (own, rest, first) = match manifest.architecture {
-            Architecture::Published => (OwnLatent::Term(own_term(rest, message.inputs())), rest, first.clone()),
-            Architecture::Full => {
-                let split = |layer: &Layer| {
-                    let (own, neighbour) = layer.split(encoder.outputs());
-                    FirstLayer { own, neighbour }
-                };
-                let (update, aggregate) = first.split(encoder.outputs());
-                let own = OwnLatent::Parts { message: rest.first().map(split), update };
-                (own, rest.get(1..).unwrap_or_default(), aggregate)
-            }
-        };
-        let (aggregate, term_bias) = first.fold_after(last);
+        let PolicyFile { manifest, assumed, digest, parameters, networks, .. } = file;
+        let entries = manifest.observation();
+        let features = networks.hops.iter().map(Hop::inputs).sum();
         GnnWeights {
-            interface: interface(&manifest, encoder.outputs()),
+            interface: manifest.interface(features),
+            meaning: manifest.meaning(),
+            forgets_after: manifest.forgets_after(),
+            requests: entry::requests(&entries),
+            entries,
             manifest,
             assumed,
             digest,
-            encoder,
-            own,
-            message: part(rest),
-            aggregate,
-            term_bias,
-            update: part(update_rest),
+            parameters,
+            networks,
         }
     }
 
@@ -106,7 +69,7 @@ impl GnnWeights {
 
     /// Returns the manifest of the network's policy file. For a file without a manifest, it is that of the policy
     /// published with the paper.
-    pub fn manifest(&self) -> &Manifest {
+    pub fn manifest(&self) -> &AnyManifest {
         &self.manifest
     }
 
@@ -121,211 +84,147 @@ impl GnnWeights {
         &self.digest
     }
 
-    fn first_message_layer(&self) -> Option<&FirstLayer> {
-        match &self.own {
-            OwnLatent::Term(_) => None,
-            OwnLatent::Parts { message, .. } => message.as_ref(),
-        }
+    /// Returns the number of weights and biases of all networks.
+    pub fn parameters(&self) -> usize {
+        self.parameters
     }
 
-    /// Width of the input of `message`, or of the sum if there is no `message`.
-    fn row_width(&self) -> usize {
-        self.message.as_ref().map_or(self.aggregate.inputs(), Mlp::inputs)
+    /// Returns the channels that the policy takes, in the order in which it gets their values.
+    pub fn requests(&self) -> &[Request] {
+        &self.requests
     }
 }
 
-/// Output of all message layers but the last for an input of `width` zeros.
-fn own_term(rest: &[Layer], width: usize) -> Vec<f32> {
-    let zeros = vec![0.0; width];
-    if rest.is_empty() {
-        return zeros;
-    }
-    let rest = Mlp::new(rest.to_vec());
-    let mut term = vec![0.0; rest.outputs()];
-    rest.apply(1, &zeros, &mut term, &mut rest.scratch(1), Relu::After);
-    term
+/// What a robot remembers from one step to the next; all is empty for a policy without state.
+#[derive(Debug, Default)]
+struct State {
+    /// State after the last step.
+    now: Vec<f32>,
+    /// State before the last step.
+    before: Vec<f32>,
+    /// Output of the encoder.
+    encoded: Vec<f32>,
+    /// Buffer of the cell.
+    gates: Vec<f32>,
 }
 
-fn interface(manifest: &Manifest, features: usize) -> Interface {
-    Interface {
-        features,
-        radius_m: manifest.radius_m,
-        period: Span::from_secs(1.0 / manifest.rate_hz),
-        limit_m_s: manifest.limit_m_s,
-        hold: Span::from_secs(manifest.hold_s),
+impl State {
+    /// Returns the state at the start, of a policy whose encoder has `encoded` outputs.
+    fn new(memory: Option<&Gru>, encoded: usize) -> State {
+        let Some(gru) = memory else { return State::default() };
+        let zeros = |floats: usize| vec![0.0; floats];
+        let [now, before, gates] = [1, 1, 6].map(|times| zeros(times * gru.floats()));
+        State { now, before, encoded: zeros(encoded), gates }
     }
 }
 
-/// One robot's instance of a trained message-passing network, with buffers of its own.
+/// One robot's instance of a trained message-passing network, with buffers of its own. A step allocates nothing unless
+/// it has more neighbours than any before.
 #[derive(Debug)]
 pub struct Gnn {
     network: Arc<GnnWeights>,
     draw: Draw,
     instructions: Instructions,
-    space: Space,
-}
-
-/// Buffers for intermediate values. A step allocates nothing unless it has more neighbours than any before.
-#[derive(Debug)]
-struct Space {
     observation: Vec<f32>,
-    encoder: Scratch,
-    /// Full: latent and edge features, one row per neighbour.
-    neighbours: Vec<f32>,
-    /// Input of the network's `message`, one row per neighbour.
-    rows: Vec<f32>,
-    message: Scratch,
-    /// Output of all message layers but the last, one row per neighbour.
-    edges: Vec<f32>,
-    sum: Vec<f32>,
-    /// Output of the network's `aggregate`.
-    aggregate: Vec<f32>,
-    update: Scratch,
-    /// Full: contribution of the robot's own latent to the first message layer.
-    own_message: Vec<f32>,
-    /// Full: contribution of the robot's own latent to the first update layer.
-    own_update: Vec<f32>,
-    /// Number of neighbours that the buffers have room for.
-    capacity: usize,
+    state: State,
+    /// Whether the present step counts as none: a value of a channel is not known.
+    fails: bool,
+    failures: Failures,
+    /// Output of the last hop.
+    last: Vec<f32>,
+    buffers: Buffers,
+    /// Buffers of each hop.
+    spaces: Vec<Space>,
 }
 
 impl Gnn {
-    /// Makes one robot's instance of `network`, which draws actions from the output distribution by the method `draw`.
-    pub fn new(network: Arc<GnnWeights>, draw: Draw) -> Gnn {
-        Gnn::with_instructions(network, draw, Instructions::Detected)
+    /// Makes the instance of `robot` of `network`, which draws actions from the output distribution by the method
+    /// `draw`.
+    pub fn new(network: Arc<GnnWeights>, draw: Draw, robot: RobotId) -> Gnn {
+        let Networks { encoder, memory, hops, decoder } = &network.networks;
+        let mut buffers = Buffers::default();
+        [Some(encoder), decoder.as_ref()].into_iter().flatten().for_each(|part| buffers.reserve(part, 1));
+        Gnn {
+            observation: vec![0.0; encoder.inputs()],
+            state: State::new(memory.as_ref(), encoder.outputs()),
+            fails: false,
+            failures: Failures::new(robot),
+            last: vec![0.0; hops.last().map_or(0, Hop::outputs)],
+            buffers,
+            spaces: hops.iter().map(|_| Space::default()).collect(),
+            draw,
+            instructions: Instructions::Detected,
+            network,
+        }
     }
 
-    /// Makes one robot's instance of `network` that runs on the given processor instructions; `draw` is the method of
-    /// drawing actions. The instruction set changes the speed, and results are the same bit for bit.
-    pub fn with_instructions(network: Arc<GnnWeights>, draw: Draw, instructions: Instructions) -> Gnn {
-        let own_message = network.first_message_layer().map_or(0, |first| first.own.outputs());
-        let space = Space {
-            observation: vec![0.0; network.encoder.inputs()],
-            encoder: network.encoder.scratch(1),
-            neighbours: Vec::new(),
-            rows: Vec::new(),
-            message: Scratch::default(),
-            edges: Vec::new(),
-            sum: vec![0.0; network.aggregate.inputs()],
-            aggregate: vec![0.0; network.aggregate.outputs()],
-            update: network.update.as_ref().map(|update| update.scratch(1)).unwrap_or_default(),
-            own_message: vec![0.0; own_message],
-            own_update: vec![0.0; network.aggregate.outputs()],
-            capacity: 0,
-        };
-        Gnn { network, draw, instructions, space }
+    /// Returns the instance, to run on the given processor instructions. They change the speed, and results are the
+    /// same bit for bit.
+    pub fn with_instructions(self, instructions: Instructions) -> Gnn {
+        Gnn { instructions, ..self }
     }
 
-    /// Returns the network's raw outputs: mean_x, mean_y, log_std_x and log_std_y of the distribution of a velocity
-    /// \[m/s\], policy frame. The manifest's upper limit of the log standard deviation is not applied.
+    /// Returns the network's raw outputs, the parameters of the distribution of a velocity or an acceleration in the
+    /// policy frame: mean_x, mean_y, and a parameter of each standard deviation. The manifest's upper limit of the log
+    /// standard deviation is not applied.
     ///
-    /// `own` is the robot's observation, `features` its own latent, which `encode` has just computed, and `neighbours`
-    /// are the neighbours' messages in use.
-    pub fn outputs(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour]) -> [f32; 4] {
-        self.reserve(neighbours.len());
-        let (network, space) = (&*self.network, &mut self.space);
+    /// `own` is the robot's observation, `features` its own latent, which holds the inputs of all hops, and
+    /// `neighbours` are the neighbours' messages in use.
+    pub fn outputs(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour]) -> [f32; OUTPUTS] {
+        let Networks { hops, decoder, .. } = &self.network.networks;
+        let at = hops.len() - 1;
+        let (hop, space) = (&hops[at], &mut self.spaces[at]);
+        hop.reserve(space, neighbours.len());
+        let (last, buffers, mut out) = (&mut self.last, &mut self.buffers, [0.0; OUTPUTS]);
         self.instructions.run(
             #[inline(always)]
-            || outputs(network, space, own.motion.position, features, neighbours),
-        )
+            || {
+                hop.apply(&own.motion, features, neighbours, space, last);
+                match decoder {
+                    Some(decoder) => decoder.apply(1, last, &mut out, buffers),
+                    None => out.copy_from_slice(last),
+                }
+            },
+        );
+        out
     }
 
-    fn reserve(&mut self, neighbours: usize) {
-        if neighbours > self.space.capacity {
-            let space = &mut self.space;
-            space.capacity = neighbours;
-            let width = self.network.first_message_layer().map_or(0, |first| first.neighbour.inputs());
-            space.neighbours.resize(neighbours * width, 0.0);
-            space.rows.resize(neighbours * self.network.row_width(), 0.0);
-            space.edges.resize(neighbours * self.network.aggregate.inputs(), 0.0);
-            if let Some(message) = &self.network.message {
-                space.message = message.scratch(neighbours);
-            }
-        }
+    /// Computes the input of the first hop from the observation, and the state after the step with it, and writes it
+    /// into `features`, whose inputs of later hops become zero.
+    fn encode_observed(&mut self, features: &mut [f32]) {
+        let Networks { encoder, memory, hops, .. } = &self.network.networks;
+        let (observation, state, buffers) = (&self.observation, &mut self.state, &mut self.buffers);
+        let (first, later) = features.split_at_mut(hops[0].inputs());
+        later.fill(0.0);
+        self.instructions.run(
+            #[inline(always)]
+            || match memory {
+                None => encoder.apply(1, observation, first, buffers),
+                Some(gru) => {
+                    encoder.apply(1, observation, &mut state.encoded, buffers);
+                    std::mem::swap(&mut state.now, &mut state.before);
+                    gru.apply(&state.encoded, &state.before, &mut state.now, &mut state.gates);
+                    first.copy_from_slice(&state.now);
+                }
+            },
+        );
     }
-}
 
-#[inline(always)]
-fn outputs(
-    network: &GnnWeights,
-    space: &mut Space,
-    position: Vec2,
-    features: &[f32],
-    neighbours: &[Neighbour],
-) -> [f32; 4] {
-    let (count, width) = (neighbours.len(), network.row_width());
-    match &network.own {
-        OwnLatent::Term(term) => {
-            for (row, neighbour) in space.rows.chunks_exact_mut(width).zip(neighbours) {
-                for ((to, theirs), mine) in row.iter_mut().zip(neighbour.features).zip(features) {
-                    *to = theirs - mine;
-                }
-            }
-            space.sum.copy_from_slice(term);
+    /// Encodes an observation of test data: that of `own`, or the first values of `observation` for a policy that takes
+    /// channels. The first floats of `memory` are the state before.
+    pub(super) fn encode_probed(
+        &mut self,
+        own: &Observation,
+        observation: Option<&[f32]>,
+        memory: &[f32],
+        features: &mut [f32],
+    ) {
+        match observation {
+            Some(values) => self.observation.iter_mut().zip(values).for_each(|(to, value)| *to = *value),
+            None => entry::write(&self.network.entries, own, &mut self.observation),
         }
-        OwnLatent::Parts { message, .. } => {
-            let edge = &network.manifest.edge;
-            match message {
-                Some(FirstLayer { own, neighbour: layer }) => {
-                    own.apply(1, features, &mut space.own_message, Relu::None);
-                    for (row, neighbour) in space.neighbours.chunks_exact_mut(layer.inputs()).zip(neighbours) {
-                        write_neighbour(edge, position, neighbour, row);
-                    }
-                    layer.apply_from(&space.own_message, count, &space.neighbours, &mut space.rows, Relu::After);
-                }
-                None => {
-                    for (row, neighbour) in space.rows.chunks_exact_mut(width).zip(neighbours) {
-                        let (mine, theirs) = row.split_at_mut(features.len());
-                        mine.copy_from_slice(features);
-                        write_neighbour(edge, position, neighbour, theirs);
-                    }
-                }
-            }
-            space.sum.fill(0.0);
-        }
-    }
-    let rows = &space.rows[..count * width];
-    match &network.message {
-        Some(message) => message.apply(count, rows, &mut space.edges, &mut space.message, Relu::After),
-        None => space.edges[..rows.len()].copy_from_slice(rows),
-    }
-    for edge in space.edges.chunks_exact(space.sum.len()).take(count) {
-        space.sum.iter_mut().zip(edge).for_each(|(sum, term)| *sum += term);
-    }
-    network.aggregate.apply(1, &space.sum, &mut space.aggregate, Relu::None);
-    let terms = match &network.own {
-        OwnLatent::Term(_) => count + 1,
-        OwnLatent::Parts { update, .. } => {
-            update.apply(1, features, &mut space.own_update, Relu::None);
-            space.aggregate.iter_mut().zip(&space.own_update).for_each(|(sum, own)| *sum += own);
-            count
-        }
-    };
-    let terms = terms as f32;
-    space.aggregate.iter_mut().zip(&network.term_bias).for_each(|(sum, bias)| *sum += terms * bias);
-    let mut out = [0.0; 4];
-    match &network.update {
-        None => out.copy_from_slice(&space.aggregate),
-        Some(update) => {
-            space.aggregate.iter_mut().for_each(|sum| *sum = sum.max(0.0));
-            update.apply(1, &space.aggregate, &mut out, &mut space.update, Relu::None);
-        }
-    }
-    out
-}
-
-/// Writes the input row of a neighbour: its latent, then the features of the edge from a robot at `position` \[m\].
-#[inline(always)]
-fn write_neighbour(edge: &[EdgeField], position: Vec2, neighbour: &Neighbour, row: &mut [f32]) {
-    let (latent, mut row) = row.split_at_mut(neighbour.features.len());
-    latent.copy_from_slice(neighbour.features);
-    for field in edge {
-        let (to, rest) = row.split_at_mut(field.floats());
-        match field {
-            EdgeField::Age => to[0] = neighbour.age.as_secs() as f32,
-            EdgeField::RelativePosition => to.copy_from_slice(&(neighbour.motion.position - position).to_array()),
-        }
-        row = rest;
+        self.state.now.iter_mut().zip(memory).for_each(|(to, value)| *to = *value);
+        self.encode_observed(features);
     }
 }
 
@@ -334,30 +233,59 @@ impl Policy for Gnn {
         self.network.interface
     }
 
+    fn hops(&self) -> usize {
+        self.network.networks.hops.len()
+    }
+
+    fn reset(&mut self, _seed: u64) {
+        self.state.now.fill(0.0);
+        self.state.before.fill(0.0);
+    }
+
+    fn undo(&mut self) {
+        self.state.now.copy_from_slice(&self.state.before);
+    }
+
+    fn forgets_after(&self) -> Option<Span> {
+        self.network.forgets_after
+    }
+
+    fn memory(&self) -> Option<&[f32]> {
+        self.network.networks.memory.as_ref().map(|_| &*self.state.now)
+    }
+
     fn encode(&mut self, own: &Observation, features: &mut [f32]) {
-        let (network, space) = (&*self.network, &mut self.space);
-        for (entry, field) in space.observation.chunks_exact_mut(2).zip(&network.manifest.observation) {
-            entry.copy_from_slice(&field.of(own).to_array());
+        let network = &*self.network;
+        self.fails = !own.values.iter().all(|value| value.is_finite());
+        if self.fails {
+            self.state.before.copy_from_slice(&self.state.now);
+            self.failures.fail(&network.digest, &entry::unknown(&network.entries, own.values));
+            return;
         }
+        self.failures.succeed();
+        entry::write(&network.entries, own, &mut self.observation);
+        self.encode_observed(features);
+    }
+
+    fn broadcast(&self) -> Broadcast<'_> {
+        if self.fails { Broadcast::Failed } else { Broadcast::Encoded }
+    }
+
+    fn relay(&mut self, hop: usize, own: &Observation, features: &mut [f32], neighbours: &[Neighbour]) {
+        let (hops, space) = (&self.network.networks.hops, &mut self.spaces[hop - 1]);
+        let before = &hops[hop - 1];
+        before.reserve(space, neighbours.len());
+        let (inputs, rest) = features.split_at_mut(hops[hop].begins());
+        let out = &mut rest[..before.outputs()];
         self.instructions.run(
             #[inline(always)]
-            || network.encoder.apply(1, &space.observation, features, &mut space.encoder, Relu::None),
+            || before.apply(&own.motion, inputs, neighbours, space, out),
         );
     }
 
     fn act(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour], stream: &mut Stream) -> Vec2 {
-        let [mean_x, mean_y, log_std_x, log_std_y] = self.outputs(own, features, neighbours);
-        match self.draw {
-            Draw::Mean => Vec2::new(mean_x, mean_y),
-            Draw::Sample => {
-                let max = self.network.manifest.log_std_max;
-                let [x, y] = random::normals(stream);
-                let normal = |mean: f32, log_std: f32, unit: f64| -> f32 {
-                    mean + unit as f32 * libm::expf(max.map_or(log_std, |max| log_std.min(max)))
-                };
-                Vec2::new(normal(mean_x, log_std_x, x), normal(mean_y, log_std_y, y))
-            }
-        }
+        let outputs = self.outputs(own, features, neighbours);
+        self.network.meaning.velocity(&outputs, own.motion.velocity, self.draw, stream)
     }
 }
 
@@ -365,14 +293,14 @@ impl Policy for Gnn {
 mod tests {
     use super::*;
     use crate::messages::geometry::Motion;
-    use crate::policy::manifest::Training;
+    use crate::policy::manifest::{Architecture, EdgeField, Manifest, Training};
     use crate::policy::weights::Tensors;
-    use crate::policy::{random_tensors, weights};
+    use crate::policy::{file, random_tensors, weights};
     use crate::random::Seed;
     use rand::RngExt;
 
     fn network(manifest: &Manifest, tensors: &Tensors) -> Arc<GnnWeights> {
-        let file = weights::read(&weights::write(manifest, tensors)).expect("the file can be read");
+        let file = file::read(&weights::write(manifest, tensors)).expect("the file can be read");
         Arc::new(GnnWeights::new(file))
     }
 
@@ -460,8 +388,9 @@ mod tests {
             assert_eq!(manifest.check(), Ok(()));
             let tensors = random_tensors(&manifest, seed as u64);
             let network = network(&manifest, &tensors);
-            let [mut baseline, mut detected] = [Instructions::Baseline, Instructions::Detected]
-                .map(|instructions| Gnn::with_instructions(Arc::clone(&network), Draw::Mean, instructions));
+            let [mut baseline, mut detected] = [Instructions::Baseline, Instructions::Detected].map(|instructions| {
+                Gnn::new(Arc::clone(&network), Draw::Mean, RobotId(0)).with_instructions(instructions)
+            });
             // More and then fewer neighbours, so that stale values in the buffers would show.
             for count in [0, 1, 2, 6, 3, 5, 4, 0] {
                 let motion = Motion::at_rest(Vec2::new(random(3.0), random(3.0)));
@@ -490,24 +419,6 @@ mod tests {
     }
 
     #[test]
-    fn log_std_max_clamps_the_log_standard_deviation_of_samples() {
-        let action = |log_std_max: Option<f32>, log_std: f32| {
-            let manifest = Manifest { log_std_max, ..Manifest::full() };
-            let mut tensors = random_tensors(&manifest, 1);
-            let (weight, bias) = tensors[2].last_mut().expect("there are layers");
-            weight.fill(0.0);
-            bias.copy_from_slice(&[0.0, 0.0, log_std, log_std]);
-            let mut gnn = Gnn::new(network(&manifest, &tensors), Draw::Sample);
-            let own = Observation::new(Motion::default(), Vec2::zeros());
-            assert_eq!(gnn.outputs(&own, &[0.5; 32], &[])[2], log_std, "the raw outputs are not clamped");
-            gnn.act(&own, &[0.5; 32], &[], &mut Seed::of_run(1).stream("draw"))
-        };
-        assert_ne!(action(Some(-1.0), 2.0), action(None, 2.0));
-        assert_eq!(action(Some(-1.0), 2.0), action(None, -1.0));
-        assert_eq!(action(Some(-1.0), -3.0), action(None, -3.0));
-    }
-
-    #[test]
     fn a_manifest_is_unchanged_after_writing_and_reading() {
         let training = Training {
             program: "a-trainer 0.1".to_owned(),
@@ -519,8 +430,9 @@ mod tests {
         };
         let manifest = Manifest { log_std_max: Some(-0.3), training: Some(training), ..Manifest::full() };
         let network = network(&manifest, &random_tensors(&manifest, 1));
-        let sha256 = network.manifest().sha256.clone();
+        let AnyManifest::Format1(read) = network.manifest() else { panic!("it is of format 1") };
+        let sha256 = read.sha256.clone();
         assert_eq!(sha256.len(), 64);
-        assert_eq!(*network.manifest(), Manifest { sha256, ..manifest });
+        assert_eq!(*read, Manifest { sha256, ..manifest });
     }
 }

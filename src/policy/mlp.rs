@@ -1,5 +1,5 @@
-//! Multi-layer perceptrons for the control path: small, without memory allocation, and with bit-identical results on
-//! every machine.
+//! Layers of perceptrons for the control path: small, without memory allocation, and with bit-identical results on every
+//! machine.
 //!
 //! Every output is a sum over the inputs in their order, with multiplications and additions only (none fused). So
 //! blocking and vector width change the speed, not the result. `Instructions` selects the vector width at run time.
@@ -215,66 +215,6 @@ impl Relu {
     }
 }
 
-/// Multi-layer perceptron: linear layers applied one after the other, with ReLU activations between them.
-#[derive(Clone, Debug)]
-pub struct Mlp {
-    layers: Vec<Layer>,
-}
-
-/// Two buffers for the values between the layers of a perceptron, used alternately. `Mlp::scratch` makes them.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Scratch(Vec<f32>, Vec<f32>);
-
-impl Mlp {
-    /// Makes a perceptron of `layers`, in the order of application.
-    ///
-    /// # Panics
-    /// If there is no layer, or if a layer does not have as many inputs as the layer before it has outputs.
-    pub(crate) fn new(layers: Vec<Layer>) -> Mlp {
-        assert!(!layers.is_empty(), "a perceptron has a layer");
-        assert!(layers.windows(2).all(|pair| pair[0].outputs == pair[1].inputs), "layers fit each other");
-        Mlp { layers }
-    }
-
-    /// Returns the layers of the perceptron, in the order of application.
-    pub fn layers(&self) -> &[Layer] {
-        &self.layers
-    }
-
-    /// Returns the number of inputs of the first layer.
-    pub(crate) fn inputs(&self) -> usize {
-        self.layers[0].inputs
-    }
-
-    /// Returns the number of outputs of the last layer.
-    pub(crate) fn outputs(&self) -> usize {
-        self.layers[self.layers.len() - 1].outputs
-    }
-
-    /// Makes the scratch space that `apply` needs for `rows` independent inputs at once.
-    pub(crate) fn scratch(&self, rows: usize) -> Scratch {
-        let widest = self.layers.iter().map(|layer| layer.outputs).max().unwrap_or(0) * rows;
-        Scratch(vec![0.0; widest], vec![0.0; widest])
-    }
-
-    /// Applies all layers to `rows` independent inputs: `x` is \[rows, inputs\], and `y` receives \[rows, outputs\],
-    /// both row-major. A ReLU follows every layer but the last, and the activation `last` follows the last layer.
-    /// `scratch` holds intermediate values; it comes from the method `scratch`, for at least as many rows.
-    #[inline(always)]
-    pub(crate) fn apply(&self, rows: usize, x: &[f32], y: &mut [f32], scratch: &mut Scratch, last: Relu) {
-        let (mut from, mut to) = (&mut scratch.0, &mut scratch.1);
-        for (depth, layer) in self.layers.iter().enumerate() {
-            let x = if depth == 0 { x } else { &from[..] };
-            if depth + 1 == self.layers.len() {
-                layer.apply(rows, x, y, last);
-            } else {
-                layer.apply(rows, x, to, Relu::After);
-            }
-            std::mem::swap(&mut from, &mut to);
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -302,25 +242,5 @@ mod tests {
         first.apply(1, &x[..4], &mut start, Relu::None);
         second.apply_from(&start, 1, &x[4..], &mut parts, Relu::After);
         assert_eq!(parts, whole);
-    }
-
-    #[test]
-    fn the_bits_depend_neither_on_the_instruction_set_nor_on_the_number_of_rows() {
-        let pseudo = |k: usize| ((k * 7919 + 13) % 1009) as f32 / 500.0 - 1.0;
-        let layer = |inputs: usize, outputs: usize| {
-            let weight: Vec<f32> = (0..inputs * outputs).map(pseudo).collect();
-            Layer::new(&weight, &weight[..outputs])
-        };
-        let mlp = Mlp::new(vec![layer(6, 37), layer(37, 64), layer(64, 5)]);
-        let x: Vec<f32> = (0..6 * 7).map(pseudo).collect();
-        let apply = |instructions: Instructions| {
-            let (mut y, mut scratch) = (vec![0.0; 35], mlp.scratch(7));
-            instructions.run(|| mlp.apply(7, &x, &mut y, &mut scratch, Relu::None));
-            y
-        };
-        assert_eq!(apply(Instructions::Baseline), apply(Instructions::Detected));
-        let mut alone = [0.0; 5];
-        mlp.apply(1, &x[6..12], &mut alone, &mut mlp.scratch(1), Relu::None);
-        assert_eq!(alone, apply(Instructions::Detected)[5..10]);
     }
 }

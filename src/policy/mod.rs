@@ -5,6 +5,7 @@
 //! turn. The code of this folder uses no network, actor or clock.
 
 pub mod failures;
+pub mod file;
 pub mod flock;
 pub mod gnn;
 pub mod hops;
@@ -268,7 +269,7 @@ pub fn untrained_full(seed: u64) -> Model {
 
 fn random_model(manifest: &Manifest, seed: u64) -> Model {
     let bytes = weights::write(manifest, &random_tensors(manifest, seed));
-    let file = weights::read(&bytes).expect("a file that was just written can be read");
+    let file = file::read(&bytes).expect("a file that was just written can be read");
     Model::Gnn(Arc::new(gnn::GnnWeights::new(file)), Draw::Sample)
 }
 

@@ -4,10 +4,9 @@ use std::fmt;
 use std::sync::Arc;
 
 use super::gnn::{Gnn, GnnWeights};
-use super::hops::{self, network::Hops};
-use super::manifest::{Architecture, Training};
-use super::weights::{self, WeightsError};
-use super::{Draw, Interface, Policy, SHIPPED, orca, probe, shipped};
+use super::manifest::Training;
+use super::weights::WeightsError;
+use super::{Draw, Interface, Policy, SHIPPED, file, orca, probe, shipped};
 use crate::chassis::Chassis;
 use crate::messages::ids::RobotId;
 use crate::messages::wire::{Form, MAX_FLOATS};
@@ -20,10 +19,9 @@ use crate::time::Span;
 pub enum Model {
     /// Scripted navigation by optimal reciprocal collision avoidance (ORCA), without training.
     Orca,
-    /// Trained graph neural network, with the method by which actions are drawn from its output distribution.
+    /// Trained graph neural network from a policy file of format 1 or 2, with the method by which actions are drawn from
+    /// its output distribution.
     Gnn(Arc<GnnWeights>, Draw),
-    /// Trained policy of several hops, from a policy file of format 2, with the method by which actions are drawn.
-    Hops(Arc<hops::network::HopsWeights>, Draw),
     /// Policy that another crate implements in code; see [`Model::custom`].
     Custom(Custom),
 }
@@ -143,16 +141,9 @@ impl Model {
             true => Ok(()),
             false => Err(ModelError::Scenario { theirs: theirs.to_owned(), ours: scenario.to_owned() }),
         };
-        if hops::file::is_format_2(bytes) {
-            let file = hops::file::read(bytes)?;
-            check(&file.manifest.scenario)?;
-            let draw = file.manifest.draw;
-            let (network, _) = hops::probe::network(file)?;
-            return Ok(Model::Hops(network, draw));
-        }
-        let file = weights::read(bytes)?;
-        check(&file.manifest.scenario)?;
-        let draw = file.manifest.draw;
+        let file = file::read(bytes)?;
+        check(file.manifest.scenario())?;
+        let draw = file.manifest.draw();
         let (network, _) = probe::network(file)?;
         Ok(Model::Gnn(network, draw))
     }
@@ -194,11 +185,7 @@ impl Model {
     pub fn name(&self) -> &'static str {
         match self {
             Model::Orca => "orca",
-            Model::Gnn(network, _) => match network.manifest().architecture {
-                Architecture::Published => "gnn",
-                Architecture::Full => "gnn-full",
-            },
-            Model::Hops(..) => "gnn-hops",
+            Model::Gnn(network, _) => network.manifest().kind(),
             Model::Custom(custom) => custom.name,
         }
     }
@@ -208,8 +195,7 @@ impl Model {
     pub fn instance(&self, arena: &Arena, robot: RobotId) -> Box<dyn Policy> {
         match self {
             Model::Orca => Box::new(orca::Orca::new(arena)),
-            Model::Gnn(network, draw) => Box::new(Gnn::new(Arc::clone(network), *draw)),
-            Model::Hops(network, draw) => Box::new(Hops::new(Arc::clone(network), *draw, robot)),
+            Model::Gnn(network, draw) => Box::new(Gnn::new(Arc::clone(network), *draw, robot)),
             Model::Custom(custom) => (custom.instance)(arena, robot, custom.draw.unwrap_or(Draw::Mean)),
         }
     }
@@ -219,7 +205,6 @@ impl Model {
         match self {
             Model::Orca => orca::INTERFACE,
             Model::Gnn(network, _) => network.interface(),
-            Model::Hops(network, _) => network.interface(),
             Model::Custom(custom) => custom.interface,
         }
     }
@@ -229,7 +214,6 @@ impl Model {
     pub fn with_draw(self, draw: Draw) -> Option<Model> {
         match self {
             Model::Gnn(network, _) => Some(Model::Gnn(network, draw)),
-            Model::Hops(network, _) => Some(Model::Hops(network, draw)),
             Model::Custom(custom) => custom.draw.map(|_| Model::Custom(Custom { draw: Some(draw), ..custom })),
             Model::Orca => None,
         }
@@ -239,7 +223,6 @@ impl Model {
     pub fn digest(&self) -> &str {
         match self {
             Model::Gnn(network, _) => network.digest(),
-            Model::Hops(network, _) => network.digest(),
             Model::Custom(custom) => &custom.origin.digest,
             Model::Orca => "",
         }
@@ -261,7 +244,7 @@ impl Model {
     pub fn engine(&self) -> &str {
         match self {
             Model::Custom(custom) => &custom.origin.engine,
-            Model::Orca | Model::Gnn(..) | Model::Hops(..) => "",
+            Model::Orca | Model::Gnn(..) => "",
         }
     }
 
@@ -285,7 +268,7 @@ impl Model {
     pub fn form(&self) -> Form {
         match self {
             Model::Custom(custom) => custom.origin.form,
-            Model::Orca | Model::Gnn(..) | Model::Hops(..) => Form::default(),
+            Model::Orca | Model::Gnn(..) => Form::default(),
         }
     }
 
@@ -304,7 +287,7 @@ impl Model {
     pub fn message(&self) -> &str {
         match self {
             Model::Custom(custom) => &custom.origin.message,
-            Model::Orca | Model::Gnn(..) | Model::Hops(..) => "",
+            Model::Orca | Model::Gnn(..) => "",
         }
     }
 
@@ -317,7 +300,7 @@ impl Model {
     pub fn most_robots(&self) -> Option<usize> {
         match self {
             Model::Custom(custom) => custom.origin.most_robots,
-            Model::Orca | Model::Gnn(..) | Model::Hops(..) => None,
+            Model::Orca | Model::Gnn(..) => None,
         }
     }
 
@@ -326,8 +309,8 @@ impl Model {
     pub fn requests(&self) -> &[Request] {
         match self {
             Model::Custom(custom) => &custom.origin.requests,
-            Model::Hops(network, _) => network.requests(),
-            Model::Orca | Model::Gnn(..) => &[],
+            Model::Gnn(network, _) => network.requests(),
+            Model::Orca => &[],
         }
     }
 
@@ -336,7 +319,7 @@ impl Model {
     pub fn assumed(&self) -> Option<&str> {
         match self {
             Model::Gnn(network, _) => network.assumed(),
-            Model::Hops(..) | Model::Orca | Model::Custom(_) => None,
+            Model::Orca | Model::Custom(_) => None,
         }
     }
 
@@ -353,8 +336,7 @@ impl Model {
 
     fn training(&self) -> Option<&Training> {
         match self {
-            Model::Gnn(network, _) => network.manifest().training.as_ref(),
-            Model::Hops(network, _) => network.manifest().training.as_ref(),
+            Model::Gnn(network, _) => network.manifest().training(),
             Model::Orca | Model::Custom(_) => None,
         }
     }

@@ -3,10 +3,12 @@
 
 use std::sync::Arc;
 
+use super::file::PolicyFile;
 use super::gnn::{Gnn, GnnWeights};
-use super::weights::{PolicyFile, Probe, WeightsError};
+use super::weights::{Probe, WeightsError};
 use super::{Draw, Neighbour, Policy};
 use crate::messages::geometry::{Motion, Vec2};
+use crate::messages::ids::RobotId;
 use crate::observation::Observation;
 use crate::time::Span;
 
@@ -30,29 +32,45 @@ impl Probe {
     /// Runs `network` on the inputs of this test data and returns the largest differences of its latents and outputs
     /// from the correct ones, which the test data contain.
     pub(crate) fn compare(&self, network: &Arc<GnnWeights>) -> Difference {
-        let at = |floats: &[f32], robot: usize| Vec2::new(floats[2 * robot], floats[2 * robot + 1]);
         let robots = self.position.len() / 2;
-        let motion = |robot| Motion { position: at(&self.position, robot), velocity: at(&self.velocity, robot) };
+        let at = |floats: &[f32], robot: usize| Vec2::new(floats[2 * robot], floats[2 * robot + 1]);
         let own: Vec<Observation> =
-            (0..robots).map(|robot| Observation::new(motion(robot), at(&self.goal, robot))).collect();
-        let mut gnn = Gnn::new(Arc::clone(network), Draw::Mean);
+            (0..robots).map(|robot| Observation::new(self.motion(robot), at(&self.goal, robot))).collect();
+        let mut policy = Gnn::new(Arc::clone(network), Draw::Mean, RobotId(0));
         let mut latents = vec![vec![0.0; network.interface().features]; robots];
-        for (own, latent) in own.iter().zip(&mut latents) {
-            gnn.encode(own, latent);
+        for (robot, (own, latent)) in own.iter().zip(&mut latents).enumerate() {
+            let observation = self.observation.as_ref().map(|all| &all[robot * (all.len() / robots)..]);
+            let memory = &self.memory[robot * (self.memory.len() / robots)..];
+            policy.encode_probed(own, observation, memory, latent);
+        }
+        for hop in 1..policy.hops() {
+            let before = latents.clone();
+            for (robot, latent) in latents.iter_mut().enumerate() {
+                policy.relay(hop, &own[robot], latent, &self.neighbours(robot, &before));
+            }
         }
         let mut outputs = Vec::new();
         for robot in 0..robots {
-            let others = (0..robots).filter(|other| *other != robot);
-            let neighbours: Vec<Neighbour> = others
-                .map(|other| Neighbour {
-                    motion: motion(other),
-                    features: &latents[other],
-                    age: Span::from_secs(f64::from(self.age_s[robot * robots + other])),
-                })
-                .collect();
-            outputs.extend(gnn.outputs(&own[robot], &latents[robot], &neighbours));
+            outputs.extend(policy.outputs(&own[robot], &latents[robot], &self.neighbours(robot, &latents)));
         }
         Difference { robots, latent: largest(&latents.concat(), &self.latent), output: largest(&outputs, &self.output) }
+    }
+
+    fn motion(&self, robot: usize) -> Motion {
+        let at = |floats: &[f32]| Vec2::new(floats[2 * robot], floats[2 * robot + 1]);
+        Motion { position: at(&self.position), velocity: at(&self.velocity) }
+    }
+
+    /// Returns the messages that a robot has received, in the order of the senders.
+    fn neighbours<'a>(&self, robot: usize, latents: &'a [Vec<f32>]) -> Vec<Neighbour<'a>> {
+        let robots = latents.len();
+        let heard = |other: &usize| *other != robot && self.heard[robot * robots + other];
+        let neighbour = |other: usize| Neighbour {
+            motion: self.motion(other),
+            features: &latents[other],
+            age: Span::from_secs(f64::from(self.age_s[robot * robots + other])),
+        };
+        (0..robots).filter(heard).map(neighbour).collect()
     }
 
     /// Runs `network` on the inputs of this test data and compares its latents and outputs with the correct ones, which
@@ -82,7 +100,7 @@ pub fn network(mut file: PolicyFile) -> Result<(Arc<GnnWeights>, Option<Differen
 
 /// Returns the largest difference between the numbers of `found` and those of `stored` at the same index. Each is
 /// divided by the magnitude of the stored number if that is above 1. The result is NaN if a difference is NaN.
-pub(super) fn largest(found: &[f32], stored: &[f32]) -> f32 {
+fn largest(found: &[f32], stored: &[f32]) -> f32 {
     let off = |(found, stored): (&f32, &f32)| (found - stored).abs() / stored.abs().max(1.0);
     found
         .iter()

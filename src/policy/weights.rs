@@ -1,9 +1,4 @@
-//! Reading and writing of policy files: safetensors with a manifest, checked completely.
-//!
-//! The tensors of the encoder are `encoder.N.weight` \[out, in\] and `encoder.N.bias` \[out\]; those of the networks
-//! `message` and `update` are named likewise. N counts 0, 2, 4, ... as in a PyTorch `Sequential` with its ReLUs. The
-//! file published with the paper calls these two networks `gnn` and `post` and has no manifest. Tensors `probe.*` are a
-//! [`Probe`]. No file is opened here: the caller passes the bytes of the file.
+//! Tensors of policy files: their names and shapes, their checks and their hash, and test data among them.
 
 use std::collections::BTreeMap;
 
@@ -11,27 +6,35 @@ use data_encoding::HEXLOWER;
 use hmac_sha256::Hash;
 
 use super::manifest::{self, Manifest};
-use super::mlp::{Layer, Mlp};
+use super::mlp::Layer;
 use super::safetensors::{self, Dtype, SafeTensors, TensorView};
 use crate::config::kinds::FileKind;
 use crate::config::objects;
 
 /// Tensor name prefixes of the three networks, in the order of use.
-const NAMES: [&str; 3] = ["encoder", "message", "update"];
+pub(super) const NAMES: [&str; 3] = ["encoder", "message", "update"];
 /// Tensor name prefixes of the three networks in the policy file published with the paper, in the order of use:
 /// encoder, message network, update network.
-const PUBLISHED_NAMES: [&str; 3] = ["encoder", "gnn", "post"];
+pub(super) const PUBLISHED_NAMES: [&str; 3] = ["encoder", "gnn", "post"];
 
 /// Prefix of the names of the tensors in a policy file that hold its test data ([`Probe`]: inputs and correct outputs).
 pub(super) const PROBE: &str = "probe.";
-/// Names of the tensors that hold a policy file's test data, in the order of [`Probe`]'s fields; each tensor has one
-/// row per robot.
-pub(super) const PROBE_TENSORS: [&str; 6] =
+/// Names of the tensors that hold the test data of each policy file, in the order of [`Probe`]'s fields; each tensor has
+/// one row per robot.
+const PROBE_TENSORS: [&str; 6] =
     ["probe.position", "probe.velocity", "probe.goal", "probe.age", "probe.latent", "probe.output"];
 
-/// Test data in a policy file: inputs for a team of robots and the network's correct outputs for them. The program that
-/// exported the policy stored them. Every robot has a message of every other one. All lists are row-major, with one row
-/// per robot.
+/// Tensor of a probe of format 2 with a number above 0 for each message that was received: the row is the receiver, the
+/// column the sender.
+const HEARD: &str = "probe.heard";
+/// Tensor of a probe with the whole observation of each robot, for a policy that takes channels.
+const OBSERVATION: &str = "probe.observation";
+/// Tensor of a probe with the state of each robot before the step, for a policy with a memory.
+const MEMORY: &str = "probe.memory";
+
+/// Test data in a policy file: inputs for a team of robots and the network's correct outputs for them, in one step in
+/// which all hops are computed one after the other. The program that exported the policy stored them. All lists are
+/// row-major, with one row per robot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Probe {
     /// Positions of the robots \[m\], with shape \[robots, 2\], in the policy frame (the world frame, possibly rotated
@@ -50,27 +53,40 @@ pub struct Probe {
     /// Correct raw outputs of the network, mean_x, mean_y, log_std_x and log_std_y of a velocity \[m/s\], with shape
     /// \[robots, 4\].
     pub output: Vec<f32>,
+    /// Whether a message was received, with shape \[robots, robots\]: the row is the receiver, the column the sender. A
+    /// robot's message to itself does not count. In format 1 every robot has a message of every other one.
+    pub heard: Vec<bool>,
+    /// Observation of each robot, the encoder's input, with shape \[robots, inputs\], of a policy that takes channels;
+    /// `None` for one whose observation follows from positions, velocities and goals.
+    pub(crate) observation: Option<Vec<f32>>,
+    /// State of each robot before the step, with shape \[robots, floats\]; empty for a policy without state.
+    pub(crate) memory: Vec<f32>,
+}
+
+/// Numbers of floats of the test data of a policy, and the tensors that its kind of policy has among them.
+#[derive(Debug)]
+pub(super) struct Probed {
+    /// Floats of a latent, which holds the inputs of all hops.
+    pub latent: usize,
+    /// Whether the test data say who has received whom.
+    pub heard: bool,
+    /// Floats of an observation, if the test data have it.
+    pub observation: Option<usize>,
+    /// Floats of the state, for a policy with one.
+    pub memory: Option<usize>,
+}
+
+impl Probed {
+    /// Returns the names of all tensors of the test data.
+    pub fn names(&self) -> impl Iterator<Item = &'static str> {
+        let more = [self.heard.then_some(HEARD), self.observation.map(|_| OBSERVATION), self.memory.map(|_| MEMORY)];
+        PROBE_TENSORS.into_iter().chain(more.into_iter().flatten())
+    }
 }
 
 impl Probe {
     /// Largest number of robots in a policy file's test data.
     pub(crate) const MOST_ROBOTS: usize = 64;
-}
-
-/// Content of a policy file of format 1 that has been checked: metadata, weights and test data.
-#[derive(Debug)]
-pub struct PolicyFile {
-    /// Manifest of the policy file. For a file without a manifest, it is that of the policy published with the paper.
-    pub manifest: Manifest,
-    /// Assumptions made because the file has no manifest or an incomplete one, as text for the user; `None` if nothing
-    /// was assumed.
-    pub assumed: Option<String>,
-    /// Digest of the whole file: the first 64 bits of its BLAKE3 hash, in hexadecimal.
-    pub(crate) digest: String,
-    /// The three networks of the policy: encoder, message network and update network.
-    pub networks: [Mlp; 3],
-    /// Test data with which the networks are to be compared; `None` if the file has none.
-    pub probe: Option<Probe>,
 }
 
 /// Error of a file that is not a valid policy file.
@@ -191,108 +207,44 @@ pub(super) fn tensors(bytes: &[u8]) -> Result<SafeTensors<'_>, WeightsError> {
     Err(WeightsError::Foreign(foreign))
 }
 
-/// Checks that the manifest `text` says of which format it is, and that this program reads that. The other fields of
-/// another format would be errors that say less.
-fn check_format(text: &str) -> Result<(), WeightsError> {
-    let Ok(serde_json::Value::Object(fields)) = serde_json::from_str(text) else { return Ok(()) };
+/// Returns the version of the format that the manifest `text` says; 1 if it is no object. It is an error if this program
+/// does not read that: the other fields of another format would be errors that say less.
+pub(super) fn format(text: &str) -> Result<u32, WeightsError> {
     let [first, second] = manifest::FORMATS;
+    let Ok(serde_json::Value::Object(fields)) = serde_json::from_str(text) else { return Ok(first) };
     let expected = format!("this program reads {first} and {second}");
     let wrong = |why: String| Err(WeightsError::Manifest(format!("format: {why}")));
     match fields.get("format") {
         None => wrong(format!("it is missing; {expected}")),
-        Some(format) if manifest::FORMATS.into_iter().any(|ours| *format == ours) => Ok(()),
-        Some(format) => wrong(format!("{}; {expected}, as a number", objects::shown(format))),
+        Some(format) => match manifest::FORMATS.into_iter().find(|ours| format == ours) {
+            Some(format) => Ok(format),
+            None => wrong(format!("{}; {expected}, as a number", objects::shown(format))),
+        },
     }
 }
 
-/// Parses and checks a policy file of format 1, of which `bytes` is the whole content. An error describes the first
-/// fault found. The networks are not compared with the file's test data; `probe::network` does that.
-pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
-    let file = tensors(bytes)?;
-    let Some(text) = file.metadata.get(manifest::KEY) else {
-        // Whatever is wrong, the cause is the missing manifest.
-        return of_manifest(bytes, file.tensors, None).map_err(|error| WeightsError::NoManifest(Box::new(error)));
-    };
-    check_format(text)?;
-    let manifest: Manifest = objects::parse(text).map_err(WeightsError::Manifest)?;
-    manifest.check().map_err(WeightsError::Manifest)?;
-    of_manifest(bytes, file.tensors, Some(manifest))
-}
-
-/// Checks the tensors of a policy file of format 1 against its manifest; without one, against the published network.
-fn of_manifest(bytes: &[u8], tensors: TensorsByName, given: Option<Manifest>) -> Result<PolicyFile, WeightsError> {
-    let has_manifest = given.is_some();
-    let (manifest, names, assumed) = match given {
-        Some(manifest) => {
-            let assumed = assumed_of(&manifest);
-            (manifest, NAMES, assumed)
-        }
-        None => {
-            let manifest = Manifest::published();
-            let assumed = format!(
-                "it has no manifest; its tensors are those of the published passage network, so the published \
-                 conditions are assumed: observation (goal - position, position, position + velocity), radius {} m, \
-                 {} Hz, limit {} m/s, actions sampled, messages held {} s",
-                manifest.radius_m, manifest.rate_hz, manifest.limit_m_s, manifest.hold_s
-            );
-            (manifest, PUBLISHED_NAMES, Some(assumed))
-        }
-    };
-    let network = |name: &str, widths: &[usize]| network(&tensors, name, widths);
-    let networks = [
-        network(names[0], &manifest.encoder)?,
-        network(names[1], &manifest.message)?,
-        network(names[2], &manifest.update)?,
-    ];
-    let latent = manifest.encoder.last().copied().unwrap_or(0);
-    let probe = tensors.keys().any(|name| name.starts_with(PROBE)).then(|| probe(&tensors, latent)).transpose()?;
-    let layers = networks.iter().map(|network| 2 * network.layers().len()).sum::<usize>();
-    if tensors.len() > layers + probe.as_ref().map_or(0, |_| PROBE_TENSORS.len()) {
-        let widths = [&manifest.encoder, &manifest.message, &manifest.update];
-        let known = |name: &str| {
-            PROBE_TENSORS.contains(&name)
-                || (0..3).any(|k| layer_names(names[k], widths[k]).any(|(w, b, _)| w == name || b == name))
-        };
-        let unknown = tensors.keys().find(|name| !known(name));
-        return Err(WeightsError::Unknown(unknown.cloned().unwrap_or_default()));
-    }
-    if has_manifest {
-        check_hash(&tensors, &manifest.sha256)?;
-    }
-    let digest = blake3::hash(bytes).to_hex()[..16].to_owned();
-    Ok(PolicyFile { manifest, assumed, digest, networks, probe })
-}
-
-/// Returns the assumptions made about entries that a manifest leaves out (activation, aggregation), as text for the
-/// user; `None` if nothing is assumed. For files of this crate's trainer nothing is: it has one activation and one
-/// aggregation only.
-fn assumed_of(manifest: &Manifest) -> Option<String> {
-    let ours = manifest.training.as_ref().is_some_and(|training| training.program.starts_with(env!("CARGO_PKG_NAME")));
-    let left_out: Vec<&str> = [
-        manifest.activation.is_none().then_some("\"activation\": \"relu\""),
-        manifest.aggregation.is_none().then_some("\"aggregation\": \"sum\""),
-    ]
-    .into_iter()
-    .flatten()
-    .collect();
-    (!ours && !left_out.is_empty()).then(|| {
-        format!("its manifest does not say {0}, which is assumed; if that is right, add it", left_out.join(", "))
-    })
-}
-
-/// Reads a policy file's test data ([`Probe`]) from the file's tensors; each latent has `latent` floats. It is an error
-/// if a tensor of the test data is missing or has another shape.
-pub(super) fn probe(tensors: &TensorsByName, latent: usize) -> Result<Probe, WeightsError> {
+/// Reads a policy file's test data from the file's tensors. It is an error if a tensor of the test data is missing or
+/// has another shape.
+pub(super) fn probe(tensors: &TensorsByName, probed: &Probed) -> Result<Probe, WeightsError> {
     let first = tensors.get(PROBE_TENSORS[0]).and_then(|tensor| tensor.shape().first()).copied();
     // A wrong number of robots is refused as a shape below.
     let robots = first.filter(|robots| (1..=Probe::MOST_ROBOTS).contains(robots)).unwrap_or(1);
-    let widths = [2, 2, 2, robots, latent, 4];
-    let mut read = PROBE_TENSORS
-        .iter()
-        .zip(widths)
-        .map(|(name, width)| floats(tensors, name, &[robots, width], " (a probe has all six of its tensors)"));
+    let of = |name: &str, width: usize, hint: &'static str| floats(tensors, name, &[robots, width], hint);
+    let widths = [2, 2, 2, robots, probed.latent, 4];
+    let mut read =
+        PROBE_TENSORS.iter().zip(widths).map(|(name, width)| of(name, width, " (a probe has all six of its tensors)"));
     let mut next = || read.next().expect("there are six tensors");
-    Ok(Probe { position: next()?, velocity: next()?, goal: next()?, age_s: next()?, latent: next()?, output: next()? })
+    let (position, velocity, goal) = (next()?, next()?, next()?);
+    let (age_s, latent, output) = (next()?, next()?, next()?);
+    let heard = match probed.heard {
+        true => of(HEARD, robots, " (a probe of format 2 says who received whom)")?,
+        false => vec![1.0; robots * robots],
+    };
+    let observed = |width| of(OBSERVATION, width, " (the policy takes channels)");
+    let observation = probed.observation.map(observed).transpose()?;
+    let memory = probed.memory.map(|width| of(MEMORY, width, " (the policy has a memory)")).transpose()?;
+    let (heard, memory) = (heard.into_iter().map(|heard| heard > 0.0).collect(), memory.unwrap_or_default());
+    Ok(Probe { position, velocity, goal, age_s, latent, output, heard, observation, memory })
 }
 
 /// Tensors of a layer in a policy file: the name of the weights, the name of the biases, and the shape \[out, in\].
@@ -310,21 +262,21 @@ pub(super) fn layer_names<'a>(name: &'a str, widths: &'a [usize]) -> impl Iterat
 /// Tensors of a policy file, by name.
 pub(super) type TensorsByName<'a> = BTreeMap<String, TensorView<'a>>;
 
-fn network(tensors: &TensorsByName, name: &str, widths: &[usize]) -> Result<Mlp, WeightsError> {
-    let layers = layer_names(name, widths).map(|(weight, bias, shape)| {
-        Ok(Layer::new(&floats(tensors, &weight, &shape, "")?, &floats(tensors, &bias, &shape[..1], "")?))
-    });
-    Ok(Mlp::new(layers.collect::<Result<_, WeightsError>>()?))
+/// Returns the layers of the three networks of a policy of format 1, called `names`.
+pub(super) fn layout(manifest: &Manifest, names: [&str; 3]) -> Vec<Vec<LayerTensors>> {
+    let widths = [&manifest.encoder, &manifest.message, &manifest.update];
+    names.iter().zip(widths).map(|(name, widths)| layer_names(name, widths).collect()).collect()
+}
+
+/// Returns the layer of these tensors. It is an error if one is missing or wrong.
+pub(super) fn layer(tensors: &TensorsByName, (weight, bias, shape): &LayerTensors) -> Result<Layer, WeightsError> {
+    let weight = floats(tensors, weight, shape, "")?;
+    Ok(Layer::new(&weight, &floats(tensors, bias, &shape[..1], " (zeros, if the layer has no bias)")?))
 }
 
 /// Returns the numbers of the tensor `name`. It is an error if the tensor is missing, is not of finite 32-bit floats,
 /// or does not have the shape `shape`. `hint` is a possible cause, which ends the message if the tensor is missing.
-pub(super) fn floats(
-    tensors: &TensorsByName,
-    name: &str,
-    shape: &[usize],
-    hint: &'static str,
-) -> Result<Vec<f32>, WeightsError> {
+fn floats(tensors: &TensorsByName, name: &str, shape: &[usize], hint: &'static str) -> Result<Vec<f32>, WeightsError> {
     let (name, expected) = (name.to_owned(), shape.to_vec());
     let Some(tensor) = tensors.get(&name) else { return Err(WeightsError::Missing { name, expected, hint }) };
     if tensor.dtype() != Dtype::F32 {
@@ -358,7 +310,7 @@ pub(super) fn check_hash(tensors: &TensorsByName, stated: &str) -> Result<(), We
 }
 
 /// Returns the SHA-256 of all tensors' bytes in the order of their names, in hexadecimal.
-pub(super) fn hash(tensors: &TensorsByName) -> String {
+fn hash(tensors: &TensorsByName) -> String {
     let mut hash = Hash::new();
     tensors.values().for_each(|tensor| hash.update(tensor.data()));
     HEXLOWER.encode(&hash.finalize())
@@ -366,7 +318,9 @@ pub(super) fn hash(tensors: &TensorsByName) -> String {
 
 /// Weights and biases of a policy's three networks: encoder, message network and update network. Each network is a list
 /// of layers, and each layer a pair of row-major weights \[out, in\] and biases \[out\].
-pub type Tensors = [Vec<(Vec<f32>, Vec<f32>)>; 3];
+pub type Tensors = [Network; 3];
+/// Weights and biases of a network: a list of layers, each a pair of row-major weights \[out, in\] and biases \[out\].
+pub type Network = Vec<(Vec<f32>, Vec<f32>)>;
 
 /// Returns the bytes of a policy file of format 1 with this manifest and these weights. The field `sha256` of the
 /// manifest is replaced by the hash of the weights.
@@ -374,25 +328,37 @@ pub type Tensors = [Vec<(Vec<f32>, Vec<f32>)>; 3];
 /// # Panics
 /// If the weights do not have the shapes that the manifest states.
 pub fn write(manifest: &Manifest, tensors: &Tensors) -> Vec<u8> {
-    let widths = [&manifest.encoder, &manifest.message, &manifest.update];
+    let described = |sha256: String| {
+        let manifest = Manifest { sha256, ..manifest.clone() };
+        serde_json::to_string(&manifest).expect("a manifest is JSON")
+    };
+    serialized(layout(manifest, NAMES), tensors, described)
+}
+
+/// Returns the bytes of a policy file whose networks have the layers `layout` with these weights. `manifest` returns the
+/// text of the manifest with the hash of the weights.
+///
+/// # Panics
+/// If the weights do not have the shapes of the layout.
+pub(super) fn serialized(
+    layout: Vec<Vec<LayerTensors>>,
+    networks: &[Network],
+    manifest: impl FnOnce(String) -> String,
+) -> Vec<u8> {
+    let bytes = |floats: &[f32]| floats.iter().flat_map(|float| float.to_le_bytes()).collect::<Vec<u8>>();
     let mut entries: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();
-    for (network, layers) in tensors.iter().enumerate() {
-        for ((weight_name, bias_name, shape), (weight, bias)) in
-            layer_names(NAMES[network], widths[network]).zip(layers)
-        {
-            let bytes = |floats: &[f32]| floats.iter().flat_map(|float| float.to_le_bytes()).collect::<Vec<u8>>();
+    assert_eq!(layout.len(), networks.len(), "there are weights for each network");
+    for (network, layers) in layout.into_iter().zip(networks) {
+        assert_eq!(network.len(), layers.len(), "{} has all its layers", network[0].0);
+        for ((weight_name, bias_name, shape), (weight, bias)) in network.into_iter().zip(layers) {
             assert_eq!((weight.len(), bias.len()), (shape[0] * shape[1], shape[0]), "{weight_name} has its shape");
             entries.push((weight_name, shape.to_vec(), bytes(weight)));
             entries.push((bias_name, vec![shape[0]], bytes(bias)));
         }
     }
-    let tensors = entries.iter().map(|(name, shape, data)| {
-        let tensor = TensorView::new(Dtype::F32, shape.clone(), data).expect("a tensor has its shape");
-        (name.clone(), tensor)
-    });
-    let tensors: TensorsByName = tensors.collect();
-    let sha256 = hash(&tensors);
-    let manifest = Manifest { sha256, ..manifest.clone() };
-    let json = serde_json::to_string(&manifest).expect("a manifest is JSON");
-    safetensors::write(Some((manifest::KEY.to_owned(), json)), &tensors)
+    let tensor =
+        |shape: &[usize], data| TensorView::new(Dtype::F32, shape.to_vec(), data).expect("a tensor has its shape");
+    let tensors: TensorsByName =
+        entries.iter().map(|(name, shape, data)| (name.clone(), tensor(shape, data.as_slice()))).collect();
+    safetensors::write(Some((manifest::KEY.to_owned(), manifest(hash(&tensors)))), &tensors)
 }

@@ -7,10 +7,11 @@ use std::sync::Arc;
 use crate::common::{bytes, floats, integers, reference};
 use murmurate::deploy::Deployment;
 use murmurate::messages::geometry::{Motion, Planar, Task, Vec2};
+use murmurate::messages::ids::RobotId;
 use murmurate::messages::local::Contacts;
 use murmurate::observation::Observation;
 use murmurate::policy::gnn::{Gnn, GnnWeights};
-use murmurate::policy::{Draw, Model, Neighbour, Policy, weights};
+use murmurate::policy::{Draw, Model, Neighbour, Policy, file};
 use murmurate::results::episode::Episode;
 use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{self, Progress, Scenario, Settings};
@@ -25,7 +26,7 @@ fn passage() -> Arc<dyn Scenario> {
 }
 
 fn published(path: &Path) -> Arc<GnnWeights> {
-    let file = weights::read(&std::fs::read(path).expect("the file is there")).expect("the published file loads");
+    let file = file::read(&std::fs::read(path).expect("the file is there")).expect("the published file loads");
     assert!(file.assumed.is_some(), "a file without a manifest says what was assumed");
     Arc::new(GnnWeights::new(file))
 }
@@ -47,7 +48,7 @@ fn the_forward_pass_matches_every_vector() {
     let (agents, adjacency) = (integers(&tensors, "n_agents"), bytes(&tensors, "adjacency"));
     const PAD: usize = 8;
 
-    let mut gnn = Gnn::new(network, Draw::Mean);
+    let mut gnn = Gnn::new(network, Draw::Mean, RobotId(0));
     let (mut worst_hidden, mut worst_out, mut rows) = (0.0f32, 0.0f32, 0);
     for (case, &count) in agents.iter().enumerate() {
         let count = usize::try_from(count).expect("a count");

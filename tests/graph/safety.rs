@@ -13,7 +13,7 @@ use murmurate::messages::wire::{Kind, Phase, Stop};
 use murmurate::policy::gnn::GnnWeights;
 use murmurate::policy::manifest::Manifest;
 use murmurate::policy::shipped::built_in;
-use murmurate::policy::{Draw, Model, weights};
+use murmurate::policy::{Draw, Model, file, weights};
 use murmurate::report::TrialReport;
 use murmurate::results::totals::Step;
 use murmurate::safety::guard::SafetyCounts;
@@ -86,7 +86,7 @@ fn a_policy_with_invalid_outputs_moves_no_robot_and_the_episodes_are_aborted() {
         widths.windows(2).map(|pair| (vec![1e30; pair[0] * pair[1]], vec![1e30; pair[1]])).collect()
     };
     let tensors = [huge(&manifest.encoder), huge(&manifest.message), huge(&manifest.update)];
-    let file = weights::read(&weights::write(&manifest, &tensors)).expect("large numbers are numbers");
+    let file = file::read(&weights::write(&manifest, &tensors)).expect("large numbers are numbers");
     let model = Model::Gnn(Arc::new(GnnWeights::new(file)), Draw::Mean);
     for mode in ["sim", "offboard"] {
         for safety in [Safety::deployed(), Safety::emulated()] {
@@ -193,7 +193,7 @@ fn a_geofence_keeps_commands_inside() {
 
 #[test]
 fn a_minimum_distance_reduces_collisions_of_a_policy_without_messages() {
-    let model = weights::read(built_in("robust", "passage").expect("it is built in")).expect("and it can be read");
+    let model = file::read(built_in("robust", "passage").expect("it is built in")).expect("and it can be read");
     let model = Model::Gnn(Arc::new(GnnWeights::new(model)), Draw::Mean);
     let collisions = |distance: Switch| {
         let mut trial = Trial { models: model.clone().into(), ..trial("centralized", 9) }.episodes(24);

@@ -6,9 +6,10 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use murmurate::policy::hops::{file, network::HopsWeights, probe};
+use murmurate::policy::gnn::GnnWeights;
 use murmurate::policy::weights::WeightsError;
 use murmurate::policy::{Draw, Model};
+use murmurate::policy::{file, probe};
 use murmurate::trial::Trial;
 
 const FILES: [&str; 8] =
@@ -41,7 +42,7 @@ fn the_probe_has_robots_with_no_neighbour_with_one_and_with_four() {
 fn a_convolution_that_computes_other_numbers_than_its_probe_is_refused() {
     let mut file = file::read(&read("three_hops")).expect("it is sound");
     let mut probe = file.probe.take().expect("the script writes one");
-    let network = Arc::new(HopsWeights::new(file));
+    let network = Arc::new(GnnWeights::new(file));
     probe.heard[8 + 2] = false;
     let error = probe.check(&network).expect_err("a message less").to_string();
     assert!(error.contains("latents"), "{error}");

@@ -6,10 +6,12 @@ use std::path::Path;
 use std::sync::Arc;
 
 use murmurate::messages::geometry::{Motion, Vec2};
+use murmurate::messages::ids::RobotId;
 use murmurate::observation::Observation;
+use murmurate::policy::file;
 use murmurate::policy::gnn::{Gnn, GnnWeights};
 use murmurate::policy::manifest::{Architecture, EdgeField};
-use murmurate::policy::weights::{self, WeightsError};
+use murmurate::policy::weights::WeightsError;
 use murmurate::policy::{Draw, Model, Neighbour, Policy};
 use murmurate::time::Span;
 
@@ -36,10 +38,10 @@ fn text(name: &str) -> String {
 
 /// Runs all cases of an architecture; returns the largest errors of latents and outputs.
 fn compare(architecture: &str) -> (Arc<GnnWeights>, f32, f32) {
-    let file = weights::read(&read(&format!("tests/data/python_{architecture}.safetensors")))
+    let file = file::read(&read(&format!("tests/data/python_{architecture}.safetensors")))
         .unwrap_or_else(|e| panic!("{architecture}: {e}"));
     let network = Arc::new(GnnWeights::new(file));
-    let mut gnn = Gnn::new(Arc::clone(&network), Draw::Mean);
+    let mut gnn = Gnn::new(Arc::clone(&network), Draw::Mean, RobotId(0));
     let mut expected: serde_json::Value =
         serde_json::from_str(&text("tests/data/python_expected.json")).expect("it is JSON");
     let cases: Vec<Case> = serde_json::from_value(expected[architecture].take()).expect("they are cases");
@@ -84,7 +86,7 @@ fn files_from_python_answer_as_they_did_there() {
 #[test]
 fn a_manifest_from_python_is_read_unchanged() {
     let (network, ..) = compare("full");
-    let manifest = network.manifest();
+    let manifest = network.manifest().format_1().expect("it is of format 1");
     assert_eq!(manifest.architecture, Architecture::Full);
     assert_eq!(manifest.edge, [EdgeField::Age, EdgeField::RelativePosition]);
     assert_eq!((manifest.log_std_max, manifest.training.as_ref()), (Some(0.5), None));
@@ -95,7 +97,7 @@ fn a_network_that_computes_other_numbers_than_its_probe_is_refused() {
     let bytes = read("tests/data/python_full.safetensors");
     let model = Model::from_file(&bytes, "passage").expect("its probe matches");
     assert_eq!(model.assumed(), None, "its manifest says everything");
-    let mut file = weights::read(&bytes).expect("the file is sound");
+    let mut file = file::read(&bytes).expect("the file is sound");
     let mut probe = file.probe.take().expect("the script writes one");
     let network = Arc::new(GnnWeights::new(file));
     let difference = probe.check(&network).expect("it matches");
@@ -112,7 +114,7 @@ fn a_file_from_python_whose_weights_were_changed_is_refused() {
     let mut file = read("tests/data/python_full.safetensors");
     // Flips the sign of the last number.
     *file.last_mut().expect("it is not empty") ^= 0x80;
-    assert!(matches!(weights::read(&file), Err(WeightsError::Hash { .. })));
+    assert!(matches!(file::read(&file), Err(WeightsError::Hash { .. })));
 }
 
 #[test]

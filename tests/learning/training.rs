@@ -10,7 +10,7 @@ use murmurate::hearing::CommRange;
 use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::policy::gnn;
 use murmurate::policy::manifest::Manifest;
-use murmurate::policy::{Draw, Model, weights};
+use murmurate::policy::{Draw, Model, file};
 use murmurate::random::Seed;
 use murmurate::registry::Registry;
 use murmurate::safety::Clamp;
@@ -159,7 +159,7 @@ fn a_training_for_a_differential_drive_resumes_bit_for_bit_and_its_file_says_so(
     let holonomic = Config { body: chassis::Settings::default(), ..config() };
     let other = train(Trainer::new(plan(holonomic, 9), &Registry::builtin()).expect("it is sound"), 0..8, 3, 2).1;
     let drive = |bytes: &[u8]| {
-        let training = weights::read(bytes).expect("it can be read").manifest.training.expect("it was trained");
+        let training = file::read(bytes).expect("it can be read").manifest.training().cloned().expect("it was trained");
         training.chassis().expect("it says its drive").drive
     };
     assert_eq!((drive(&whole), drive(&other)), (DriveKind::Differential, DriveKind::Holonomic));
@@ -193,14 +193,16 @@ fn a_trained_policy_s_file_records_its_training() {
     for (preset, _) in PRESETS {
         let mut trainer = Trainer::new(plan(Config::preset(preset).expect("it is a preset"), 3), &Registry::builtin())
             .expect("it is sound");
-        let file = weights::read(&trainer.policy_file()).expect("it can be read");
-        let training = file.manifest.training.clone().expect("it says so");
+        let before = trainer.policy_file();
+        let file = file::read(&before).expect("it can be read");
+        let training = file.manifest.training().cloned().expect("it says so");
         assert_eq!((training.seed, training.decisions), (3, 0));
-        assert_eq!(file.manifest.architecture, trainer.plan().config.policy.architecture);
+        let manifest = file.manifest.format_1().expect("it is of format 1");
+        assert_eq!(manifest.architecture, trainer.plan().config.policy.architecture);
         let config: Config = serde_json::from_value(training.configuration).expect("it is a configuration");
         assert_eq!(config, trainer.plan().config, "the file alone is enough to train again");
         trainer.iterate(0.5, 2).expect("it stays finite");
-        assert_ne!(trainer.policy_file(), weights::write(&file.manifest, &[Vec::new(), Vec::new(), Vec::new()]));
+        assert_ne!(trainer.policy_file(), before);
     }
 }
 
@@ -230,8 +232,8 @@ fn both(
 ) -> [Vec<(Verdict, f64)>; 2] {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join("policies/passage.safetensors");
     let bytes = std::fs::read(&path).expect("the shipped policy");
-    let file = weights::read(&bytes).expect("the shipped policy is sound");
-    let manifest = file.manifest.clone();
+    let file = file::read(&bytes).expect("the shipped policy is sound");
+    let manifest = file.manifest.format_1().cloned().expect("it is of format 1");
     let scenario = scenario::build("passage", &Settings::of(robots)).expect("it can be made");
     let deployment = Deployment::preset(mode, robots).expect("it is a mode");
     let model = Model::Gnn(Arc::new(gnn::GnnWeights::new(file)), Draw::Mean);

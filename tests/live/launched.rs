@@ -10,7 +10,7 @@ use crate::program::{murmurate, text};
 use murmurate::deploy::Deployment;
 use murmurate::policy::gnn::GnnWeights;
 use murmurate::policy::shipped::built_in;
-use murmurate::policy::{Model, weights};
+use murmurate::policy::{Model, file};
 use murmurate::safety::Safety;
 use murmurate::scenario::{self, Settings};
 use murmurate::trial::Trial;
@@ -25,8 +25,8 @@ const DIFFERENT: u32 = 2;
 fn simulated(episodes: u32) -> BTreeMap<u32, (String, String)> {
     let scenario = scenario::build("passage", &Settings::default()).expect("the scenario");
     let deployment = Deployment::preset("offboard", scenario.robots()).expect("a preset");
-    let file = weights::read(built_in("shipped", "passage").expect("it is shipped")).expect("it is sound");
-    let draw = file.manifest.draw;
+    let file = file::read(built_in("shipped", "passage").expect("it is shipped")).expect("it is sound");
+    let draw = file.manifest.draw();
     let trial = Trial::new(deployment, scenario, Model::Gnn(Arc::new(GnnWeights::new(file)), draw));
     let report = Trial { safety: Safety::deployed(), ..trial }.seed(SEED).episodes(episodes).run();
     let told = |episode: &murmurate::results::episode::Episode| {

@@ -4,16 +4,27 @@
 
 use super::manifest::Aggregation;
 
+/// Adds the first `count` rows of `messages` to `sum`, whose length is that of a row.
+#[inline(always)]
+pub fn add(count: usize, messages: &[f32], sum: &mut [f32]) {
+    for message in messages.chunks_exact(sum.len()).take(count) {
+        sum.iter_mut().zip(message).for_each(|(sum, term)| *sum += *term);
+    }
+}
+
 /// Writes the sum, the mean or the maximum of the first `count` rows of `messages` into `sum`, whose length is that of
 /// a row; zero without any row. Any other aggregation is computed as the sum.
 #[inline(always)]
 pub fn plain(aggregation: Aggregation, count: usize, messages: &[f32], sum: &mut [f32]) {
-    let is_max = aggregation == Aggregation::Max;
-    sum.fill(if is_max && count > 0 { f32::NEG_INFINITY } else { 0.0 });
-    for message in messages.chunks_exact(sum.len()).take(count) {
-        for (sum, term) in sum.iter_mut().zip(message) {
-            *sum = if is_max { sum.max(*term) } else { *sum + term };
+    sum.fill(0.0);
+    match aggregation {
+        Aggregation::Max if count > 0 => {
+            sum.fill(f32::NEG_INFINITY);
+            for message in messages.chunks_exact(sum.len()).take(count) {
+                sum.iter_mut().zip(message).for_each(|(sum, term)| *sum = sum.max(*term));
+            }
         }
+        _ => add(count, messages, sum),
     }
     if aggregation == Aggregation::Mean && count > 0 {
         sum.iter_mut().for_each(|sum| *sum /= count as f32);

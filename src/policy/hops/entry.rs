@@ -93,7 +93,7 @@ pub fn append(entries: &[Entry], own: &Observation, to: &mut Vec<f32>) {
 }
 
 /// Says why a step counts as none: which of the entries' channels have a value that is not known.
-pub(super) fn unknown(entries: &[Entry], values: &[f32]) -> String {
+pub(crate) fn unknown(entries: &[Entry], values: &[f32]) -> String {
     let (mut rest, mut unknown) = (values, Vec::new());
     for entry in entries {
         let Entry::Channel(Named { name, observed }) = entry else { continue };

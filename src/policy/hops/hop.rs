@@ -1,18 +1,48 @@
 //! One hop: the messages of a robot's neighbours, their aggregation, and the update of the robot's own part.
 
 use super::attention;
+use super::folded::{self, Folded};
 use super::manifest::{self, Aggregation, EdgeFeature, Input, SelfLoop};
-use super::perceptron::{Buffers, Perceptron};
+use super::perceptron::{Activation, Buffers, Perceptron};
 use crate::messages::geometry::{Motion, Planar};
 use crate::policy::Neighbour;
+use crate::policy::manifest::{Architecture, EdgeField};
+use crate::policy::mlp::{Layer, Relu};
 
 /// Network of a hop, such as the message network, with the parts of its input.
 #[derive(Debug)]
-pub(crate) struct Part {
-    /// Parts of the network's input, which lie one after the other.
-    pub(crate) inputs: Vec<Input>,
+struct Part {
+    /// Parts of the network's input, which lie one after the other, but for those that `own` takes.
+    inputs: Vec<Input>,
+    /// Part of the first layer that takes the robot's own input, which is the same for all neighbours; `None` if the
+    /// perceptron takes all inputs itself.
+    own: Option<Layer>,
     /// Layers of the network with their weights.
-    pub(crate) perceptron: Perceptron,
+    perceptron: Perceptron,
+}
+
+impl Part {
+    /// Makes a network that is computed for each neighbour. If its first input is the robot's own, of `own` floats, that
+    /// part of the first layer is computed once for all of them. The sums of the others go on from it, so the bits are
+    /// those of the whole layer.
+    fn of_senders(inputs: &[Input], perceptron: Perceptron, own: usize) -> Part {
+        let split = (inputs.first() == Some(&Input::Own)).then(|| perceptron.split(own)).flatten();
+        match split {
+            Some((own, perceptron)) => Part { inputs: inputs[1..].to_vec(), own: Some(own), perceptron },
+            None => Part { inputs: inputs.to_vec(), own: None, perceptron },
+        }
+    }
+}
+
+/// Last part of a hop, which makes its output.
+#[derive(Debug)]
+enum Update {
+    /// The output is the aggregated messages.
+    Messages,
+    /// Network of the robot's own input and the aggregated messages.
+    Network(Part),
+    /// Update of format 1.
+    Folded(Folded),
 }
 
 /// One hop of a policy with the weights of its networks: computes the hop's output for a robot from the messages of its
@@ -29,27 +59,30 @@ pub struct Hop {
     aggregation: Aggregation,
     heads: usize,
     self_loop: Option<SelfLoop>,
+    /// Whether the message network takes the difference of the sender's input from the robot's own in its place.
+    relative: bool,
     message: Option<Part>,
     score: Option<Part>,
-    query: Option<Part>,
+    query: Option<Perceptron>,
     key: Option<Part>,
-    update: Option<Part>,
+    update: Update,
 }
 
 /// Buffers of one robot for one hop. They grow only in a step in which the robot has more neighbours than ever before.
 #[derive(Debug, Default)]
 pub(crate) struct Space {
-    /// Inputs h_j of the senders, one row each; with a self-loop, the robot's own last.
-    senders: Vec<f32>,
-    /// Edge features, one row for each sender.
+    /// Edge features, one row for each sender; with a self-loop, the robot's own last.
     edges: Vec<f32>,
     /// Input of the network that is computed, one row for each sender.
     rows: Vec<f32>,
+    /// Contribution of the robot's own input to the first layer of that network.
+    start: Vec<f32>,
     messages: Vec<f32>,
     keys: Vec<f32>,
     query: Vec<f32>,
     scores: Vec<f32>,
     sum: Vec<f32>,
+    folded: folded::Space,
     buffers: Buffers,
     /// Number of senders that the buffers have room for.
     capacity: usize,
@@ -69,9 +102,16 @@ impl Hop {
         mut load: impl FnMut(&str, &manifest::Layers) -> Result<Perceptron, E>,
     ) -> Result<Hop, E> {
         let mut part = |name: &str, layers: &Option<manifest::Layers>| {
-            let part =
-                |layers: &manifest::Layers| Ok(Part { inputs: layers.inputs.clone(), perceptron: load(name, layers)? });
+            let part = |layers: &manifest::Layers| Ok(Part::of_senders(&layers.inputs, load(name, layers)?, input));
             layers.as_ref().map(part).transpose()
+        };
+        let (message, score, key) =
+            (part("message", &form.message)?, part("score", &form.score)?, part("key", &form.key)?);
+        let update = match &form.update {
+            None => Update::Messages,
+            Some(layers) => {
+                Update::Network(Part { inputs: layers.inputs.clone(), own: None, perceptron: load("update", layers)? })
+            }
         };
         Ok(Hop {
             begins,
@@ -81,12 +121,51 @@ impl Hop {
             aggregation: form.aggregation,
             heads: form.heads.unwrap_or(1),
             self_loop: form.self_loop,
-            message: part("message", &form.message)?,
-            score: part("score", &form.score)?,
-            query: part("query", &form.query)?,
-            key: part("key", &form.key)?,
-            update: part("update", &form.update)?,
+            relative: false,
+            message,
+            score,
+            query: form.query.as_ref().map(|layers| load("query", layers)).transpose()?,
+            key,
+            update,
         })
+    }
+
+    /// Makes the only hop of a policy of format 1, whose input is `input` floats, from the layers of its message and its
+    /// update network and its edge features.
+    ///
+    /// # Panics
+    /// If the layers do not fit each other.
+    pub(crate) fn of_format_1(
+        architecture: Architecture,
+        input: usize,
+        edge: &[EdgeField],
+        [message, update]: [&[Layer]; 2],
+    ) -> Hop {
+        let (last, rest) = message.split_last().expect("a perceptron has a layer");
+        let perceptron = match rest {
+            [] => Perceptron::unchanged(last.inputs()),
+            rest => Perceptron::new(rest.to_vec(), Activation::Relu, Activation::Relu),
+        };
+        let messages = perceptron.outputs();
+        let (relative, inputs, own_term, own): (bool, &[Input], Vec<f32>, usize) = match architecture {
+            Architecture::Published => (true, &[Input::Sender], of_zeros(&perceptron), 0),
+            Architecture::Full => (false, &[Input::Own, Input::Sender, Input::Edge], Vec::new(), input),
+        };
+        Hop {
+            begins: 0,
+            input,
+            messages,
+            edge: edge.iter().copied().map(EdgeFeature::from).collect(),
+            aggregation: Aggregation::Sum,
+            heads: 1,
+            self_loop: None,
+            relative,
+            message: Some(Part::of_senders(inputs, perceptron, input)),
+            score: None,
+            query: None,
+            key: None,
+            update: Update::Folded(Folded::new(own_term, last, update, own)),
+        }
     }
 
     /// Returns the index of the first float of the hop's input in a latent.
@@ -94,18 +173,18 @@ impl Hop {
         self.begins
     }
 
+    /// Returns the number of floats of the hop's input.
+    pub(crate) fn inputs(&self) -> usize {
+        self.input
+    }
+
     /// Returns the number of floats of the hop's output.
     pub(crate) fn outputs(&self) -> usize {
-        self.update.as_ref().map_or(self.messages, |update| update.perceptron.outputs())
-    }
-
-    /// Returns the number of weights and biases of the hop's networks.
-    pub(crate) fn parameters(&self) -> usize {
-        self.parts().map(|part| part.perceptron.parameters()).sum()
-    }
-
-    fn parts(&self) -> impl Iterator<Item = &Part> {
-        [&self.message, &self.score, &self.query, &self.key, &self.update].into_iter().flatten()
+        match &self.update {
+            Update::Messages => self.messages,
+            Update::Network(part) => part.perceptron.outputs(),
+            Update::Folded(folded) => folded.outputs(),
+        }
     }
 
     /// Enlarges the buffers `space` so that `apply` can be called with the given number of neighbours.
@@ -117,20 +196,27 @@ impl Hop {
         // At least one row, which the networks of the robot itself need, too.
         space.capacity = senders.max(1);
         let rows = space.capacity;
+        let parts = || [&self.message, &self.score, &self.key].into_iter().flatten();
         let edge: usize = self.edge.iter().map(|feature| feature.floats()).sum();
-        let widest = self.parts().map(|part| part.perceptron.inputs()).max().unwrap_or(0);
-        let outputs = |part: &Option<Part>| part.as_ref().map_or(0, |part| part.perceptron.outputs());
-        space.senders.resize(rows * self.input, 0.0);
         space.edges.resize(rows * edge, 0.0);
+        let widest = parts().map(|part| part.perceptron.inputs()).max().unwrap_or(0);
         space.rows.resize(rows * widest, 0.0);
+        let start = parts().filter_map(|part| part.own.as_ref()).map(Layer::outputs).max();
+        space.start.resize(start.unwrap_or(0), 0.0);
         space.messages.resize(rows * self.messages, 0.0);
-        space.keys.resize(rows * outputs(&self.key), 0.0);
-        space.query.resize(outputs(&self.query), 0.0);
+        space.keys.resize(rows * self.key.as_ref().map_or(0, |key| key.perceptron.outputs()), 0.0);
+        space.query.resize(self.query.as_ref().map_or(0, Perceptron::outputs), 0.0);
         space.scores.resize(rows * self.heads, 0.0);
         space.sum.resize(self.messages, 0.0);
-        let Hop { message, score, query, key, update, .. } = self;
-        for (part, rows) in [(message, rows), (score, rows), (key, rows), (query, 1), (update, 1)] {
-            part.iter().for_each(|part| space.buffers.reserve(&part.perceptron, rows));
+        parts().for_each(|part| space.buffers.reserve(&part.perceptron, rows));
+        self.query.iter().for_each(|query| space.buffers.reserve(query, 1));
+        match &self.update {
+            Update::Messages => {}
+            Update::Network(part) => {
+                space.buffers.reserve(&part.perceptron, 1);
+                space.rows.resize(space.rows.len().max(part.perceptron.inputs()), 0.0);
+            }
+            Update::Folded(folded) => folded.reserve(&mut space.folded, &mut space.buffers),
         }
     }
 
@@ -146,68 +232,80 @@ impl Hop {
         space: &mut Space,
         out: &mut [f32],
     ) {
-        let own = &latent[self.begins..self.begins + self.input];
-        let count = self.gather(motion, own, neighbours, space);
-        let Space { senders, edges, rows, messages, keys, query, scores, sum, buffers, .. } = space;
+        let own = &latent[self.begins..][..self.input];
+        let count = self.write_edges(motion, neighbours, space);
+        let Space { edges, rows, start, messages, keys, query, scores, sum, folded, buffers, .. } = space;
+        let edge = edges.len() / space.capacity;
+        // With a self-loop, the robot itself is the last sender.
+        let sender = |at: usize| neighbours.get(at).map_or(own, |other| &other.features[self.begins..][..self.input]);
         let mut per_sender = |part: &Part, out: &mut [f32]| {
-            let wide = part.perceptron.inputs();
-            let edge = edges.len() / (senders.len() / self.input).max(1);
-            for (at, row) in rows.chunks_exact_mut(wide).take(count).enumerate() {
+            for (at, row) in rows.chunks_exact_mut(part.perceptron.inputs()).take(count).enumerate() {
                 let of = |input: Input| match input {
                     Input::Own => own,
-                    Input::Sender => &senders[at * self.input..(at + 1) * self.input],
-                    Input::Edge => &edges[at * edge..(at + 1) * edge],
+                    Input::Sender => sender(at),
+                    Input::Edge => &edges[at * edge..][..edge],
                     Input::Messages => &[],
                 };
                 compose(&part.inputs, of, row);
+                if self.relative {
+                    row.iter_mut().zip(own).for_each(|(theirs, mine)| *theirs -= mine);
+                }
             }
-            part.perceptron.apply(count, rows, out, buffers);
+            let of_own = part.own.as_ref().map(|layer| {
+                layer.apply(1, own, start, Relu::None);
+                &start[..]
+            });
+            part.perceptron.apply_from(of_own, count, rows, out, buffers);
         };
         match &self.message {
             Some(part) => per_sender(part, messages),
-            None => messages[..count * self.input].copy_from_slice(&senders[..count * self.input]),
+            None => {
+                let rows = messages.chunks_exact_mut(self.input).take(count).enumerate();
+                rows.for_each(|(at, row)| row.copy_from_slice(sender(at)));
+            }
         }
         self.score.iter().for_each(|part| per_sender(part, scores));
         self.key.iter().for_each(|part| per_sender(part, keys));
-        if let Some(part) = &self.query {
-            part.perceptron.apply(1, own, query, buffers);
+        if let Some(perceptron) = &self.query {
+            perceptron.apply(1, own, query, buffers);
             attention::dot_products(count, self.heads, query, keys, scores);
         }
-        match self.aggregation {
-            Aggregation::Sum | Aggregation::Mean | Aggregation::Max => {
+        match (self.aggregation, &self.update) {
+            (_, Update::Folded(folded)) => {
+                folded.begin(sum);
+                attention::add(count, messages, sum);
+            }
+            (Aggregation::Sum | Aggregation::Mean | Aggregation::Max, _) => {
                 attention::plain(self.aggregation, count, messages, sum);
             }
-            Aggregation::Softmax | Aggregation::DotProduct => {
+            (Aggregation::Softmax | Aggregation::DotProduct, _) => {
                 attention::softmax(count, self.heads, scores);
                 attention::weighted_sum(count, self.heads, scores, messages, sum);
             }
         }
         match &self.update {
-            None => out.copy_from_slice(sum),
-            Some(part) => {
+            Update::Messages => out.copy_from_slice(sum),
+            Update::Network(part) => {
                 let row = &mut rows[..part.perceptron.inputs()];
                 compose(&part.inputs, |input| if input == Input::Own { own } else { sum }, row);
                 part.perceptron.apply(1, row, out, buffers);
             }
+            Update::Folded(update) => update.apply((own, sum, count), folded, out, buffers),
         }
     }
 
-    /// Writes the senders' inputs and the features of their edges into `space`, and returns their number: the
-    /// neighbours, and with a self-loop the robot itself, whose own input is `own`, as the last.
+    /// Writes the features of the senders' edges into `space`, and returns the number of senders: the neighbours, and
+    /// with a self-loop the robot itself as the last.
     #[inline(always)]
-    fn gather(&self, motion: &Motion, own: &[f32], neighbours: &[Neighbour], space: &mut Space) -> usize {
-        let edge: usize = self.edge.iter().map(|feature| feature.floats()).sum();
-        for (row, neighbour) in space.senders.chunks_exact_mut(self.input).zip(neighbours) {
-            row.copy_from_slice(&neighbour.features[self.begins..self.begins + self.input]);
-        }
+    fn write_edges(&self, motion: &Motion, neighbours: &[Neighbour], space: &mut Space) -> usize {
+        let edge = space.edges.len() / space.capacity;
+        let count = neighbours.len();
         if edge > 0 {
             for (row, neighbour) in space.edges.chunks_exact_mut(edge).zip(neighbours) {
                 write_edge(&self.edge, motion, neighbour, row);
             }
         }
-        let count = neighbours.len();
         let Some(self_loop) = self.self_loop else { return count };
-        space.senders[count * self.input..(count + 1) * self.input].copy_from_slice(own);
         if edge > 0 {
             let (edges, mine) = space.edges.split_at_mut(count * edge);
             match self_loop {
@@ -217,6 +315,14 @@ impl Hop {
         }
         count + 1
     }
+}
+
+/// Returns the outputs of a perceptron for an input of zeros.
+fn of_zeros(perceptron: &Perceptron) -> Vec<f32> {
+    let (mut outputs, mut buffers) = (vec![0.0; perceptron.outputs()], Buffers::default());
+    buffers.reserve(perceptron, 1);
+    perceptron.apply(1, &vec![0.0; perceptron.inputs()], &mut outputs, &mut buffers);
+    outputs
 }
 
 /// Writes the parts `inputs` one after the other into `row`; `of` returns the numbers of a part.
@@ -255,8 +361,6 @@ mod tests {
     use super::*;
     use crate::messages::geometry::Vec2;
     use crate::policy::hops::manifest::Layers;
-    use crate::policy::hops::perceptron::Activation;
-    use crate::policy::mlp::Layer;
     use crate::time::Span;
 
     fn layers(inputs: &[Input], widths: &[usize]) -> Option<Layers> {

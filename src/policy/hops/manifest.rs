@@ -11,7 +11,7 @@ pub use super::layers::{Input, Layers};
 pub use super::memory::{Cell, Memory};
 use crate::messages::wire::MAX_FEATURES;
 use crate::policy::Draw;
-use crate::policy::manifest::{self, Training};
+use crate::policy::manifest::{self, EdgeField, Training};
 use crate::policy::weights::{self, LayerTensors};
 
 /// Version of the manifest's format of policies with several hops, which this module reads.
@@ -35,6 +35,15 @@ pub enum EdgeFeature {
     Distance,
     /// The neighbour's velocity when it sent its message, minus the robot's own velocity \[m/s\]; two floats.
     RelativeVelocity,
+}
+
+impl From<EdgeField> for EdgeFeature {
+    fn from(field: EdgeField) -> EdgeFeature {
+        match field {
+            EdgeField::Age => EdgeFeature::Age,
+            EdgeField::RelativePosition => EdgeFeature::RelativePosition,
+        }
+    }
 }
 
 impl EdgeFeature {

@@ -38,9 +38,11 @@ impl Activation {
     }
 }
 
-/// Linear layers applied one after the other, with one activation between them and one after the last.
+/// Linear layers applied one after the other, with one activation between them and one after the last. Without any
+/// layer it returns its input.
 #[derive(Clone, Debug)]
 pub(crate) struct Perceptron {
+    inputs: usize,
     layers: Vec<Layer>,
     between: Activation,
     last: Activation,
@@ -70,35 +72,68 @@ impl Perceptron {
     pub(crate) fn new(layers: Vec<Layer>, between: Activation, last: Activation) -> Perceptron {
         assert!(!layers.is_empty(), "a perceptron has a layer");
         assert!(layers.windows(2).all(|pair| pair[0].outputs() == pair[1].inputs()), "layers fit each other");
-        Perceptron { layers, between, last }
+        Perceptron { inputs: layers[0].inputs(), layers, between, last }
     }
 
-    /// Returns the number of inputs of the first layer.
+    /// Makes what returns its input of `inputs` floats.
+    pub(crate) fn unchanged(inputs: usize) -> Perceptron {
+        Perceptron { inputs, layers: Vec::new(), between: Activation::Linear, last: Activation::Linear }
+    }
+
+    /// Returns the number of inputs.
     pub(crate) fn inputs(&self) -> usize {
-        self.layers[0].inputs()
+        self.inputs
     }
 
-    /// Returns the number of outputs of the last layer.
+    /// Returns the number of outputs.
     pub(crate) fn outputs(&self) -> usize {
-        self.layers[self.layers.len() - 1].outputs()
+        self.layers.last().map_or(self.inputs, Layer::outputs)
     }
 
-    /// Returns the number of weights and biases of all layers.
-    pub(crate) fn parameters(&self) -> usize {
-        self.layers.iter().map(|layer| (layer.inputs() + 1) * layer.outputs()).sum()
+    /// Splits the first layer by its inputs: returns the part that takes the inputs before index `at`, and the
+    /// perceptron of all other inputs, for `apply_from` with the output of that part; `None` if there is no layer, or no
+    /// other input.
+    pub(crate) fn split(&self, at: usize) -> Option<(Layer, Perceptron)> {
+        let (first, rest) = self.layers.split_first().filter(|_| at < self.inputs)?;
+        let (part, other) = first.split(at);
+        let layers = [&[other], rest].concat();
+        Some((part, Perceptron { inputs: self.inputs - at, layers, ..*self }))
     }
 
     /// Applies all layers to `rows` independent inputs: `x` is \[rows, inputs\], and `y` receives \[rows, outputs\],
     /// both row-major. `buffers` has room for as many rows of this perceptron, made by [`Buffers::reserve`].
     #[inline(always)]
     pub(crate) fn apply(&self, rows: usize, x: &[f32], y: &mut [f32], buffers: &mut Buffers) {
+        self.apply_from(None, rows, x, y, buffers);
+    }
+
+    /// Applies all layers like `apply`. The numbers `start`, one for each output of the first layer, take the place of
+    /// that layer's bias if they are given.
+    #[inline(always)]
+    pub(crate) fn apply_from(
+        &self,
+        start: Option<&[f32]>,
+        rows: usize,
+        x: &[f32],
+        y: &mut [f32],
+        buffers: &mut Buffers,
+    ) {
+        if self.layers.is_empty() {
+            y[..rows * self.inputs].copy_from_slice(&x[..rows * self.inputs]);
+        }
         let (mut from, mut to) = (&mut buffers.0, &mut buffers.1);
         for (depth, layer) in self.layers.iter().enumerate() {
             let x = if depth == 0 { x } else { &from[..] };
             let (y, activation) =
                 if depth + 1 == self.layers.len() { (&mut *y, self.last) } else { (&mut to[..], self.between) };
-            layer.apply(rows, x, y, Relu::None);
-            activation.apply(&mut y[..rows * layer.outputs()]);
+            let relu = if matches!(activation, Activation::Relu) { Relu::After } else { Relu::None };
+            match start.filter(|_| depth == 0) {
+                Some(start) => layer.apply_from(start, rows, x, y, relu),
+                None => layer.apply(rows, x, y, relu),
+            }
+            if relu == Relu::None {
+                activation.apply(&mut y[..rows * layer.outputs()]);
+            }
             std::mem::swap(&mut from, &mut to);
         }
     }
@@ -107,6 +142,7 @@ impl Perceptron {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::policy::mlp::Instructions;
 
     #[test]
     fn each_activation_is_its_formula() {
@@ -134,6 +170,38 @@ mod tests {
         perceptron.apply(2, &[2.0, -4.0], &mut y, &mut buffers);
         // relu(2, -2) = (2, 0): 2 - 30 = -28, halved; relu(-4, 4) = (0, 4): 40 - 30 = 10.
         assert_eq!(y, [-14.0, 10.0]);
-        assert_eq!((perceptron.inputs(), perceptron.outputs(), perceptron.parameters()), (1, 1, 7));
+        assert_eq!((perceptron.inputs(), perceptron.outputs()), (1, 1));
+        Perceptron::unchanged(2).apply(1, &[3.0, 4.0], &mut y, &mut buffers);
+        assert_eq!(y, [3.0, 4.0]);
+    }
+
+    #[test]
+    fn the_bits_depend_neither_on_instructions_nor_on_the_number_of_rows_nor_on_a_split() {
+        let pseudo = |k: usize| ((k * 7919 + 13) % 1009) as f32 / 500.0 - 1.0;
+        let layer = |inputs: usize, outputs: usize| {
+            let weight: Vec<f32> = (0..inputs * outputs).map(pseudo).collect();
+            Layer::new(&weight, &weight[..outputs])
+        };
+        let layers = vec![layer(6, 37), layer(37, 64), layer(64, 5)];
+        let perceptron = Perceptron::new(layers, Activation::Relu, Activation::Linear);
+        let x: Vec<f32> = (0..6 * 7).map(pseudo).collect();
+        let mut buffers = Buffers::default();
+        buffers.reserve(&perceptron, 7);
+        let mut apply = |instructions: Instructions| {
+            let mut y = vec![0.0; 35];
+            instructions.run(|| perceptron.apply(7, &x, &mut y, &mut buffers));
+            y
+        };
+        let all = apply(Instructions::Baseline);
+        assert_eq!(all, apply(Instructions::Detected));
+        let mut alone = [0.0; 5];
+        perceptron.apply(1, &x[6..12], &mut alone, &mut buffers);
+        assert_eq!(alone, all[5..10]);
+        let (part, rest) = perceptron.split(4).expect("there are other inputs");
+        let (mut start, mut split) = ([0.0; 37], [0.0; 5]);
+        part.apply(1, &x[6..10], &mut start, Relu::None);
+        rest.apply_from(Some(&start), 1, &x[10..12], &mut split, &mut buffers);
+        assert_eq!(split, alone);
+        assert!(perceptron.split(6).is_none());
     }
 }

@@ -11,12 +11,12 @@ use super::facts::{Facts, ProbeFacts, drawn, lines, list, made, observation, pro
 use super::{check_hops, check_onnx, onnx};
 use crate::output::{print, read_bytes, talk};
 use crate::{BadInput, Ended};
-use murmurate::policy::hops;
+use murmurate::policy::file::{self, AnyManifest};
+use murmurate::policy::gnn::GnnWeights;
 use murmurate::policy::hops::manifest::Entry;
 use murmurate::policy::manifest::{Activation, Aggregation, Architecture, EdgeField, Manifest};
-use murmurate::policy::probe;
+use murmurate::policy::probe::{self, Difference};
 use murmurate::policy::shipped;
-use murmurate::policy::weights;
 use murmurate::registry::Registry;
 use murmurate::scenario::task_file::is_task_file;
 
@@ -47,37 +47,31 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let name = args.policy.display().to_string();
     let refuse = |why: String| BadInput(format!("the policy file '{name}': {why}"));
     let bytes = bytes(args, registry)?;
-    if hops::file::is_format_2(&bytes) {
-        let file = hops::file::read(&bytes).map_err(|error| refuse(error.to_string()))?;
-        let (network, difference) = hops::probe::network(file).map_err(|error| refuse(error.to_string()))?;
-        foreign(&network.manifest().scenario, args, registry)?.map_or(Ok(()), |why| Err(refuse(why)))?;
-        let facts = Facts {
-            file: name,
-            digest: network.digest(),
-            manifest: network.manifest(),
-            parameters: network.parameters(),
-            latent_bytes: 4 * network.interface().features,
-            probe: difference.map(ProbeFacts::of),
-            warnings: Vec::new(),
-        };
-        return show(args, &facts, check_hops::table);
-    }
-    let file = weights::read(&bytes).map_err(|error| refuse(error.to_string()))?;
-    let layers = file.networks.iter().flat_map(|network| network.layers());
-    let parameters = layers.map(|layer| (layer.inputs() + 1) * layer.outputs()).sum();
+    let file = file::read(&bytes).map_err(|error| refuse(error.to_string()))?;
     let (network, difference) = probe::network(file).map_err(|error| refuse(error.to_string()))?;
-    let manifest = network.manifest();
-    foreign(&manifest.scenario, args, registry)?.map_or(Ok(()), |why| Err(refuse(why)))?;
-    let facts = Facts {
-        file: name,
+    foreign(network.manifest().scenario(), args, registry)?.map_or(Ok(()), |why| Err(refuse(why)))?;
+    match network.manifest() {
+        AnyManifest::Format1(manifest) => show(args, &facts(name, &network, manifest, difference), table),
+        AnyManifest::Format2(manifest) => show(args, &facts(name, &network, manifest, difference), check_hops::table),
+    }
+}
+
+/// Returns the facts of a policy file of format 1 or 2 called `file`.
+fn facts<'a, M>(
+    file: String,
+    network: &'a GnnWeights,
+    manifest: &'a M,
+    difference: Option<Difference>,
+) -> Facts<'a, M> {
+    Facts {
+        file,
         digest: network.digest(),
         manifest,
-        parameters,
+        parameters: network.parameters(),
         latent_bytes: 4 * network.interface().features,
         probe: difference.map(ProbeFacts::of),
         warnings: network.assumed().map(str::to_owned).into_iter().collect(),
-    };
-    show(args, &facts, table)
+    }
 }
 
 /// Runs `policy check` for a policy of format 3.
@@ -163,10 +157,7 @@ fn table(facts: &Facts<Manifest>) -> String {
         ("scenario", manifest.scenario.clone()),
         ("architecture", format!("{architecture}; activation relu, aggregation sum")),
         ("networks", networks(facts)),
-        (
-            "observation",
-            observation(manifest.observation.iter().map(|field| Entry::from(*field)).collect::<Vec<_>>().iter()),
-        ),
+        ("observation", observation(&manifest.observation.iter().copied().map(Entry::from).collect::<Vec<_>>())),
         ("edge", list(edge.collect())),
         (
             "action",

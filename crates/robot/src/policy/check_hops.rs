@@ -36,7 +36,7 @@ pub(super) fn table(facts: &Facts<Manifest>) -> String {
     rows.extend(names.iter().map(String::as_str).zip(manifest.hops.iter().map(hop)));
     rows.extend([
         ("decoder", format!("{}; {distribution} {deviation}", widths(&manifest.decoder))),
-        ("observation", observation(manifest.observation.iter())),
+        ("observation", observation(&manifest.observation)),
         ("edge", list(edge.collect())),
         (
             "action",

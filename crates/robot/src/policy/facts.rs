@@ -59,7 +59,7 @@ pub fn list(names: Vec<&str>) -> String {
 }
 
 /// Describes the entries of a policy's observation as text, with their units and frames.
-pub fn observation<'a>(entries: impl Iterator<Item = &'a Entry>) -> String {
+pub fn observation(entries: &[Entry]) -> String {
     let name = |entry: &Entry| match entry {
         Entry::Field(Field::GoalMinusPosition) => "goal - position [m]".to_owned(),
         Entry::Field(Field::Position) => "position [m]".to_owned(),
@@ -70,7 +70,7 @@ pub fn observation<'a>(entries: impl Iterator<Item = &'a Entry>) -> String {
         }
         Entry::Channel(Named { name, observed }) => channel(&observed.request(name)),
     };
-    let names: Vec<String> = entries.map(name).collect();
+    let names: Vec<String> = entries.iter().map(name).collect();
     format!("{}; policy frame", list(names.iter().map(String::as_str).collect()))
 }
 
