@@ -64,6 +64,7 @@ pub struct ChannelError {
 pub struct Bound {
     parts: Vec<(Channel, Frame)>,
     floats: usize,
+    memory: usize,
 }
 
 impl Bound {
@@ -109,6 +110,7 @@ impl Bound {
             if bound.floats > MAX_FLOATS {
                 return Err(refuse(format!("with it the policy takes more than {MAX_FLOATS} values")));
             }
+            bound.memory += channel.memory;
             bound.parts.push((taken(channel, request.frame, &request.taking).map_err(refuse)?, frame));
         }
         Ok(bound)
@@ -119,16 +121,23 @@ impl Bound {
         self.floats
     }
 
+    /// Returns the number of floats that all channels together remember of a robot's episode.
+    pub fn memory(&self) -> usize {
+        self.memory
+    }
+
     /// Writes the values of all channels, one channel after the other, into `values`, which has the length
     /// `Bound::floats`. A value that is not known is NaN, as are all directions in the robot's own frame if its heading
-    /// is not known.
-    pub fn write(&self, known: &Known, values: &mut [f32]) {
-        let mut rest = values;
+    /// is not known. `memory` is what the channels remember of the robot, of the length `Bound::memory`: zeros when an
+    /// episode begins.
+    pub fn write(&self, memory: &mut [f32], known: &Known, values: &mut [f32]) {
+        let (mut remembered, mut rest) = (memory, values);
         for (channel, frame) in &self.parts {
             let (own, later) = rest.split_at_mut(floats(&channel.shape));
-            (channel.write)(known, own);
+            let (memory, of_others) = remembered.split_at_mut(channel.memory);
+            (channel.write)(memory, known, own);
             transform(channel.quantity, *frame, known.own, own);
-            rest = later;
+            (remembered, rest) = (of_others, later);
         }
     }
 }
@@ -181,7 +190,8 @@ mod tests {
     fn values(bound: &Bound, own: &Observation, frame: PolicyFrame) -> Vec<f32> {
         let task = Task { start: Vec2::zeros(), goal: frame.turn(own.goal) };
         let mut values = vec![0.0; bound.floats()];
-        bound.write(&Known { task: &task, team: &[], own: &Observation { frame, ..*own }, sensed: &[] }, &mut values);
+        let own = &Observation { frame, ..*own };
+        bound.write(&mut [], &Known { task: &task, team: &[], own, sensed: &[] }, &mut values);
         values
     }
 
@@ -239,5 +249,24 @@ mod tests {
         let all = [request("level", &[3], Unit::One, None)];
         let bound = Bound::new(&all, &[own_channel]).expect("the scenario has it");
         assert_eq!(values(&bound, &own(None), PolicyFrame::World), [1.0; 3]);
+    }
+
+    #[test]
+    fn a_channel_remembers_what_it_was_given_for_a_robot() {
+        let count = |memory: &mut [f32], known: &Known, out: &mut [f32]| {
+            memory[1] += known.own.goal.x;
+            out.copy_from_slice(memory);
+        };
+        let form = || (vec![2], Unit::One, Quantity::Number);
+        let counting = Channel::remembering("sum", "a sum", form(), 2, count);
+        let all = [request("position", &[2], Unit::Metre, Some(Frame::World)), request("sum", &[2], Unit::One, None)];
+        let bound = Bound::new(&all, &[counting]).expect("there is such a channel");
+        assert_eq!(bound.memory(), 2);
+        let task = Task { start: Vec2::zeros(), goal: Vec2::zeros() };
+        let (mut memory, mut values) = ([0.0; 2], [0.0; 4]);
+        for times in 1..4 {
+            bound.write(&mut memory, &Known { task: &task, team: &[], own: &own(None), sensed: &[] }, &mut values);
+            assert_eq!(values, [1.0, 2.0, 0.0, times as f32]);
+        }
     }
 }

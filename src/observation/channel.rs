@@ -78,8 +78,9 @@ pub struct Known<'a> {
     pub sensed: &'a [Option<Sensation>],
 }
 
-/// Function that writes a channel's values in the policy frame; NaN is written for a value that is not known.
-type Write = dyn Fn(&Known, &mut [f32]) + Send + Sync;
+/// Function that writes a channel's values in the policy frame; NaN is written for a value that is not known. The first
+/// argument is the channel's memory of the robot.
+type Write = dyn Fn(&mut [f32], &Known, &mut [f32]) + Send + Sync;
 
 /// Channel of the observation that a team has: its name, shape, unit, and the function that computes its values.
 #[derive(Clone)]
@@ -94,6 +95,8 @@ pub struct Channel {
     pub unit: Unit,
     /// Kind of the values.
     pub quantity: Quantity,
+    /// Number of floats that the channel remembers of a robot's episode, such as what the robot has seen.
+    pub memory: usize,
     pub(super) write: Arc<Write>,
     /// Sense whose values the channel has; `None` for a channel that `write` computes.
     pub(super) sense: Option<Sense>,
@@ -117,11 +120,27 @@ impl Channel {
         (shape, unit, quantity): (Vec<usize>, Unit, Quantity),
         write: impl Fn(&Known, &mut [f32]) + Send + Sync + 'static,
     ) -> Channel {
+        let write = move |_: &mut [f32], known: &Known, out: &mut [f32]| write(known, out);
+        Channel::remembering(name, about, (shape, unit, quantity), 0, write)
+    }
+
+    /// Makes a channel as [`Channel::new`] does, with a memory: `memory` floats for each robot, zero when an episode
+    /// begins, which `write` gets in each step of the robot's policy, and may change.
+    ///
+    /// # Panics
+    /// As `Channel::new` does.
+    pub fn remembering(
+        name: impl Into<Cow<'static, str>>,
+        about: &'static str,
+        (shape, unit, quantity): (Vec<usize>, Unit, Quantity),
+        memory: usize,
+        write: impl Fn(&mut [f32], &Known, &mut [f32]) + Send + Sync + 'static,
+    ) -> Channel {
         let name = name.into();
         assert!(floats(&shape) > 0, "the channel '{name}' has no values");
         let pairs = matches!(quantity, Quantity::Vector | Quantity::Point);
         assert!(!pairs || shape.last() == Some(&2), "the last axis of the channel '{name}' is not 2, for x and y");
-        Channel { name, about, shape, unit, quantity, write: Arc::new(write), sense: None }
+        Channel { name, about, shape, unit, quantity, memory, write: Arc::new(write), sense: None }
     }
 }
 

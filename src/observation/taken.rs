@@ -173,7 +173,7 @@ mod tests {
         let heading = heading.map(|heading| frame.turn_angle(heading));
         let own = Observation { heading, frame, ..Observation::new(Motion::default(), Vec2::zeros()) };
         let mut values = vec![0.0; bound.floats()];
-        bound.write(&Known { task: &task, team: &[], own: &own, sensed }, &mut values);
+        bound.write(&mut [], &Known { task: &task, team: &[], own: &own, sensed }, &mut values);
         values
     }
 

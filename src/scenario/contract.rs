@@ -175,7 +175,8 @@ fn channels(scenario: &dyn Scenario, (task, tasks): (&Task, &[Task])) -> Result<
     let seen = scenario.observe(task, &Motion::at_rest(task.start));
     let mut values = vec![f32::NAN; bound.floats()];
     let team: Vec<Option<Task>> = tasks.iter().copied().map(Some).collect();
-    bound.write(&Known { task, team: &team, own: &seen, sensed: &[] }, &mut values);
+    let known = Known { task, team: &team, own: &seen, sensed: &[] };
+    bound.write(&mut vec![0.0; bound.memory()], &known, &mut values);
     require(values.iter().all(|value| value.is_finite()), || "a channel of the observation is not finite at the start")
 }
 

@@ -6,4 +6,5 @@ mod gradients;
 mod imitation;
 mod memory;
 mod python_export;
+mod sensing;
 mod training;

@@ -5,11 +5,16 @@
 
 use std::path::Path;
 
+use murmurate::deploy::senses_of;
 use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::messages::ids::RobotId;
 use murmurate::observation::Observation;
+use murmurate::policy::hops::file;
+use murmurate::policy::hops::manifest::Manifest;
 use murmurate::policy::{Broadcast, Model, Neighbour, Policy};
 use murmurate::random::Seed;
+use murmurate::results::totals::Steps;
+use murmurate::scenario::judge::Verdict;
 use murmurate::scenario::{self, Settings};
 use murmurate::time::Span;
 use murmurate::trial::Trial;
@@ -133,4 +138,49 @@ fn teams_with_memories_run_in_every_mode_and_repeat_bit_for_bit() {
         };
         assert_eq!(run(), run(), "mode {mode}");
     }
+}
+
+/// Policy of format 2 whose actions are scans: the decoder takes the ray ahead and the ray to the left of a lidar.
+fn looking(entry: serde_json::Value) -> Vec<u8> {
+    let manifest = serde_json::json!({
+        "format": 2, "scenario": "passage", "observation": ["velocity", entry],
+        "encoder": {"widths": [6, 2]},
+        "hops": [{"aggregation": "sum", "update": {"inputs": ["own"], "widths": [2, 2]}}],
+        "decoder": {"widths": [2, 4]}, "distribution": "diagonal-normal", "draw": "mean", "radius_m": 2.0,
+        "rate_hz": 20.0, "limit_m_s": 1.5, "hold_s": 0.2, "sha256": ""
+    });
+    let manifest: Manifest = serde_json::from_value(manifest).expect("it is a manifest");
+    // The rays are behind, to the right, ahead and to the left.
+    let rays = vec![0.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.1];
+    let unchanged = vec![1.0, 0.0, 0.0, 1.0];
+    let velocity = vec![1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0];
+    let layer = |weight: Vec<f32>, outputs: usize| vec![(weight, vec![0.0; outputs])];
+    file::write(&manifest, &vec![layer(rays, 2), layer(unchanged, 2), layer(velocity, 4)])
+}
+
+#[test]
+fn policies_of_format_2_take_a_lidar_and_a_team_without_it_is_refused() {
+    let eyes = serde_json::json!({"name": "eyes", "shape": [4], "unit": "m", "frame": "body", "stale_after_s": 0.12});
+    let model = Model::from_file(&looking(eyes), "passage").expect("it is sound");
+    let trial = |mode: &str, senses: &str| {
+        let mut trial = Trial::of_team(mode, "passage", 3).expect("a preset").episodes(1).seed(3);
+        trial = trial.model(model.clone());
+        trial.deployment = trial.deployment.with_senses(senses_of(senses).expect("they are senses"));
+        trial.steps = Steps::Reported;
+        trial
+    };
+    let lidar = "[senses.eyes]\nkind = \"lidar\"\nrays = 4\nrange_m = 3.0\n";
+    for mode in ["sim", "offboard", "onboard-adhoc"] {
+        let (once, again) = (trial(mode, lidar).run(), trial(mode, lidar).run());
+        assert_eq!(once.totals.trace, again.totals.trace, "{mode}");
+        let speeds = once.steps.iter().flat_map(|step| &step.samples).map(|sample| sample.motion.velocity);
+        assert!(speeds.fold(0.0_f32, |most, velocity| most.max(velocity.x)) > 0.05, "{mode}: they go where nothing is");
+    }
+    let refused = trial("sim", "").check().expect_err("there is no lidar").to_string();
+    assert!(refused.contains("observation 'eyes': there is no channel 'eyes' here"), "{refused}");
+    let blind = trial("sim", "[senses.eyes]\nkind = \"lidar\"\nrays = 4\nrange_m = 3.0\nrate_hz = 1.0\n").run();
+    assert!(
+        blind.episodes.iter().all(|episode| episode.verdict != Verdict::Aborted),
+        "steps without a scan count as none"
+    );
 }

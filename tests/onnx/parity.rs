@@ -54,7 +54,7 @@ fn values(network: &Network, own: &Observation) -> Vec<f32> {
     let bound = Bound::new(&network.contract().requests(), &[]).expect("every team has these channels");
     let mut values = vec![0.0; bound.floats()];
     let task = murmurate::messages::geometry::Task { start: Vec2::zeros(), goal: own.goal };
-    bound.write(&Known { task: &task, team: &[], own, sensed: &[] }, &mut values);
+    bound.write(&mut [], &Known { task: &task, team: &[], own, sensed: &[] }, &mut values);
     values
 }
 

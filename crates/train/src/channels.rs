@@ -22,6 +22,8 @@ pub(super) struct Observing {
     pub entries: Arc<[Entry]>,
     /// Channels among the entries; `None` if all are fields.
     pub channels: Option<Channels>,
+    /// What the channels remember of each robot's episode, one robot after the other.
+    pub memory: Vec<f32>,
 }
 
 /// Channels and senses that a policy takes, joined with those of the scenarios of training environments.
@@ -87,6 +89,11 @@ impl Channels {
         }))
     }
 
+    /// Returns the number of floats that the channels remember of a robot's episode.
+    pub fn memory(&self) -> usize {
+        self.bound.iter().flatten().map(Bound::memory).max().unwrap_or(0)
+    }
+
     /// Makes the scans of a robot at this place. Noise and dropouts are drawn from `stream`; without it there are none.
     pub fn sense(&mut self, place: Place, mut stream: Option<&mut Stream>) {
         for (scanner, sensed) in self.scanners.iter_mut().zip(&mut self.sensed) {
@@ -101,11 +108,12 @@ impl Channels {
         }
     }
 
-    /// Returns the values of the channels of a robot whose scans `sense` has made. `own` is its state, without values;
-    /// `task` is its start and goal, and `team` those of all robots of its team, world frame.
-    pub fn values(&mut self, own: &Observation, task: &Task, team: &[Option<Task>]) -> &[f32] {
+    /// Returns the values of the channels of a robot whose scans `sense` has made, and changes their `memory` of it.
+    /// `own` is its state, without values; `task` is its start and goal, and `team` those of all robots of its team,
+    /// world frame.
+    pub fn values(&mut self, memory: &mut [f32], own: &Observation, (task, team): (&Task, &[Option<Task>])) -> &[f32] {
         let bound = self.bound[team.len()].as_ref().expect("there are channels for every team size");
-        bound.write(&Known { task, team, own, sensed: &self.sensed }, &mut self.values);
+        bound.write(memory, &Known { task, team, own, sensed: &self.sensed }, &mut self.values);
         &self.values
     }
 }

@@ -230,6 +230,7 @@ impl Environments {
         let team_of = &mut self.teams[team];
         (team_of.step, team_of.touched, team_of.episode_return) = (0, false, 0.0);
         team_of.messages.restart(tasks.len(), team_of.episode.lockstep);
+        self.forget(team);
         self.measure(team, stream);
     }
 

@@ -18,8 +18,17 @@ impl Environments {
     /// Returns the environments with these entries of an observation. `channels` are those among the entries, `None` if
     /// all are fields. All episodes must be started afterwards.
     pub fn observing(mut self, entries: &[Entry], channels: Option<Channels>) -> Environments {
-        self.observing = Observing { entries: entries.into(), channels };
+        let memory = channels.as_ref().map_or(0, Channels::memory) * self.position.len();
+        self.observing = Observing { entries: entries.into(), channels, memory: vec![0.0; memory] };
         self
+    }
+
+    /// Makes the channels forget the episodes of the robots of a team.
+    pub(super) fn forget(&mut self, team: usize) {
+        let (memory, robots) = (&mut self.observing.memory, self.position.len());
+        let each = memory.len() / robots;
+        let range = self.teams[team].range();
+        memory[range.start * each..range.end * each].fill(0.0);
     }
 
     /// Returns the number of floats of the observation of a robot that is stored for each step; 0 if none is.
@@ -37,7 +46,11 @@ impl Environments {
         let mut observing = std::mem::take(&mut self.observing);
         for robot in self.teams[team].range() {
             let estimate = self.estimate(team, robot);
-            let observation = self.seen(&mut observing, (team, robot), &estimate, Some(stream));
+            let each = observing.memory.len() / self.position.len();
+            let mut memory = observing.memory[robot * each..][..each].to_vec();
+            let seen = (&mut observing, &mut memory[..]);
+            let observation = self.seen(seen, (team, robot), &estimate, Some(stream));
+            observing.memory[robot * each..][..each].copy_from_slice(&memory);
             let TrainingTeam { first, step, messages, .. } = &mut self.teams[team];
             messages.store_observation((*step, robot - *first), &observation);
         }
@@ -65,7 +78,10 @@ impl Environments {
             return entry::write(&self.observing.entries, &self.own((team, robot), &truth), to);
         }
         let mut observing = std::mem::take(&mut self.observing);
-        to.copy_from_slice(&self.seen(&mut observing, (team, robot), &truth, None));
+        let each = observing.memory.len() / self.position.len();
+        // What the policy's channels remember does not change by it.
+        let mut memory = observing.memory[robot * each..][..each].to_vec();
+        to.copy_from_slice(&self.seen((&mut observing, &mut memory), (team, robot), &truth, None));
         self.observing = observing;
     }
 
@@ -85,16 +101,17 @@ impl Environments {
         }
     }
 
-    /// Returns the observation of a robot with the motion `estimate`, world frame. Noise of senses is drawn from
+    /// Returns the observation of a robot with the motion `estimate`, world frame, and changes what its channels remember
+    /// of it. Noise of senses is drawn from
     /// `stream`; without it there is none.
     fn seen(
         &self,
-        observing: &mut Observing,
+        (observing, memory): (&mut Observing, &mut [f32]),
         (team, robot): (usize, usize),
         estimate: &Motion,
         stream: Option<&mut Stream>,
     ) -> Vec<f32> {
-        let Observing { entries, channels: Some(channels) } = observing else { return Vec::new() };
+        let Observing { entries, channels: Some(channels), .. } = observing else { return Vec::new() };
         let range = self.teams[team].range();
         let place = Place {
             arena: self.arena(team),
@@ -106,7 +123,7 @@ impl Environments {
         channels.sense(place, stream);
         let own = self.own((team, robot), estimate);
         let tasks: Vec<Option<Task>> = self.tasks[range].iter().copied().map(Some).collect();
-        let values = channels.values(&own, &self.tasks[robot], &tasks);
+        let values = channels.values(memory, &own, (&self.tasks[robot], &tasks));
         let mut observation = Vec::new();
         entry::append(entries, &Observation { values, ..own }, &mut observation);
         observation

@@ -26,6 +26,9 @@ pub struct Snapshot {
     /// State of the safety filter of each robot; empty in snapshots of older programs.
     #[serde(default)]
     yielding: Vec<Yielding>,
+    /// What channels remember of the robots' episodes; empty for observations without such channels.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    remembered: Vec<f32>,
 }
 
 impl Snapshot {
@@ -57,6 +60,7 @@ impl Environments {
             to_go_m: self.to_go_m.clone(),
             turned: self.rolling.iter().flat_map(|r| &r.wheels).map(|w| [w.heading(), w.yaw_rate()]).collect(),
             yielding: filters::yielding(&self.filters),
+            remembered: self.observing.memory.clone(),
         }
     }
 
@@ -78,6 +82,8 @@ impl Environments {
             && lengths == [robots; 5]
             && snapshot.turned.len() == turned
             && motions.all(|number| number.is_finite())
+            && snapshot.remembered.len() == self.observing.memory.len()
+            && snapshot.remembered.iter().all(|number| number.is_finite())
             && snapshot.teams.iter().all(|team| team.is_sound(self.stored()))
     }
 
@@ -104,6 +110,7 @@ impl Environments {
             self.set_episode(team, layout, &tasks, episode);
         }
         filters::restore(&mut self.filters, &snapshot.yielding);
+        self.observing.memory = snapshot.remembered;
         true
     }
 }

@@ -78,6 +78,8 @@ pub(super) struct Slot {
     pub own: Observation<'static>,
     /// Values of the channels that the policy under test takes, in the current step.
     pub values: Vec<f32>,
+    /// What these channels remember of the robot's episode.
+    memory: Vec<f32>,
     /// Times of the robot's last step in a running episode, and of the one before it; `None` if there is none.
     stepped: [Option<Time>; 2],
     /// Result of the last step of the policy under test, which holds until the next one; `None` after a step that
@@ -139,12 +141,14 @@ impl Slot {
         let holds = [&policies.run, &policies.reset].map(|policy| policy.interface().hold);
         let encodings = [&policies.run, &policies.reset].map(|policy| policy.form().encoding);
         let (values, forgets_after) = (vec![0.0; policies.channels.floats()], policies.run.forgets_after());
+        let memory = vec![0.0; policies.channels.memory()];
         Slot {
             policies,
             task: None,
             percept: None,
             own: Observation::new(Motion::default(), Vec2::zeros()),
             values,
+            memory,
             stepped: [None; 2],
             held: None,
             computes: false,
@@ -224,6 +228,7 @@ impl Slot {
     pub fn begin(&mut self) {
         self.stepped = [None; 2];
         self.held = None;
+        self.memory.fill(0.0);
         self.reset();
     }
 
@@ -287,7 +292,7 @@ impl Slot {
     /// if its last step is too long ago.
     pub fn steps(&mut self, now: Time, (task, team): (&Task, &[Option<Task>]), own: &Observation) {
         let sensed = self.percept.as_ref().map_or(&[][..], |percept| &percept.sensed);
-        self.policies.channels.write(&Known { task, team, own, sensed }, &mut self.values);
+        self.policies.channels.write(&mut self.memory, &Known { task, team, own, sensed }, &mut self.values);
         let before = self.stepped[0];
         self.stepped = [Some(now), before];
         let Some((before, longest)) = before.zip(self.forgets_after) else { return };

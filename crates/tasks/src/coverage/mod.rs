@@ -11,6 +11,7 @@
 //! All places are \[m\], in the frame of the ground, whose lower corner is the origin.
 
 pub mod baselines;
+pub mod channels;
 pub mod cost;
 pub mod field;
 pub mod grid;

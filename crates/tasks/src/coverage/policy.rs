@@ -11,7 +11,7 @@ use murmurate::random::Stream;
 use murmurate::scenario::Scenario;
 use murmurate::time::Span;
 
-use super::{Point, baselines::middle, scenario::DENSITY, size::Size, voronoi};
+use super::{Point, baselines::middle, channels::DENSITY, size::Size, voronoi};
 
 /// Entry of the policy.
 pub const COVERAGE_CVT: Entry = Entry {

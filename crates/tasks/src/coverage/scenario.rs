@@ -1,21 +1,22 @@
 //! Scenarios `coverage` and `coverage-table`: a team spreads over a ground so that what is important is near a robot.
 //!
 //! Robots have no goals. The goals of their tasks are the means of the Gaussians of the density instead, so that every
-//! part of a run knows the density of an episode from its tasks. A policy sees of it what a robot's sensor covers: the
-//! channel `density`.
+//! part of a run knows the density of an episode from its tasks. A policy sees of it what a robot's sensor covers, the
+//! channel `density`, and what the robot has seen so far, the channel `map`.
 
 use std::sync::Arc;
 
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::local::Contacts;
-use murmurate::observation::{Channel, Known, PolicyFrame, Quantity, Unit};
+use murmurate::observation::{Channel, PolicyFrame};
 use murmurate::random::{RngExt, Seed};
 use murmurate::scenario::{Arena, Cost, Entry, Progress, Rules, Scenario, ScenarioError, Settings, TeamSizes};
 use murmurate::time::Span;
 
 use super::{
+    channels,
     cost::cost,
-    field::{Field, integrals, place},
+    field::{Field, place},
     size::{PUBLISHED, Size, TABLE, TRUNCATION},
 };
 
@@ -33,8 +34,6 @@ pub const COVERAGE_TABLE: Entry = Entry {
     build: |settings| build(&TABLE, settings, |team, goals| mean_square(&TABLE, team, goals)),
 };
 
-/// Name of the channel that has what a robot's sensor covers.
-pub const DENSITY: &str = "density";
 /// Share of the ground that robots may occupy with the room that they keep free, so that places for all are found soon.
 const CROWDED: f32 = 0.5;
 
@@ -85,24 +84,6 @@ fn mean_square(size: &Size, team: &[Motion], goals: &[Vec2]) -> f64 {
     if mass > 0.0 { cost(&field, &robots) / mass } else { 0.0 }
 }
 
-/// Writes what the sensor of a robot covers: for each cell, the integral of the density over it, row after row; 0
-/// outside the ground. All are unknown while the task of a robot of the team is.
-fn sense(size: &Size, known: &Known, values: &mut [f32]) {
-    let Some(goals) = known.team.iter().map(|task| Some(task.as_ref()?.goal)).collect::<Option<Vec<Vec2>>>() else {
-        return values.fill(f32::NAN);
-    };
-    values.fill(0.0);
-    let at = size.on_ground(known.own.motion.position);
-    let window = size.grid.window(at, size.sensor_m);
-    let [below, left] = size.grid.outside(at, size.sensor_m);
-    let sums = integrals(size.grid, &size.features(goals.into_iter()), TRUNCATION, &window);
-    let across = size.grid.across(size.sensor_m);
-    for (row, sums) in sums.chunks_exact(window.columns.len().max(1)).enumerate() {
-        let written = &mut values[(below + row) * across + left..];
-        written.iter_mut().zip(sums).for_each(|(value, sum)| *value = *sum as f32);
-    }
-}
-
 impl Scenario for Coverage {
     fn name(&self) -> &str {
         self.size.name
@@ -141,11 +122,7 @@ impl Scenario for Coverage {
     }
 
     fn channels(&self) -> Vec<Channel> {
-        let size = self.size;
-        let across = size.grid.across(size.sensor_m);
-        let about = "importance of each cell around the robot that its sensor covers, along x and then along y";
-        let form = (vec![across, across], Unit::One, Quantity::Number);
-        vec![Channel::new(DENSITY, about, form, move |known, values| sense(size, known, values))]
+        vec![channels::density(self.size), channels::map(self.size)]
     }
 
     fn reward(&self, _: &Task, _: &Motion, contacts: Contacts, _: &mut Progress) -> Option<f32> {
@@ -159,7 +136,6 @@ impl Scenario for Coverage {
 
 #[cfg(test)]
 mod tests {
-    use murmurate::observation::Observation;
     use murmurate::scenario::contract;
 
     use super::*;
@@ -188,25 +164,6 @@ mod tests {
         assert!(cost(&goals) < cost(&starts), "{} {}", cost(&goals), cost(&starts));
         // With a robot at each mean, what remains is within the deviations.
         assert!(cost(&goals) < 2.0 * 0.25 * 0.25);
-    }
-
-    #[test]
-    fn a_sensor_covers_the_cells_around_the_robot_and_none_outside_the_ground() {
-        let scenario = built(&COVERAGE_TABLE);
-        let team: Vec<Option<Task>> = scenario.tasks(1, 0).into_iter().map(Some).collect();
-        let task = team[0].expect("a task");
-        let sensed = |at: Vec2, team: &[Option<Task>]| {
-            let own = Observation::new(Motion::at_rest(at), task.goal);
-            let mut values = vec![f32::NAN; 100];
-            sense(&TABLE, &Known { task: &task, team, own: &own, sensed: &[] }, &mut values);
-            values
-        };
-        let there = sensed(task.goal, &team);
-        assert!(there[55] > 0.0 && there.iter().all(|value| value.is_finite()));
-        assert!(sensed(Vec2::new(-1.0, -1.0), &team)[..50].iter().all(|&value| value == 0.0));
-        assert!(sensed(Vec2::new(90.0, -1.0), &team).iter().all(|&value| value == 0.0));
-        let untold = [Some(task), None];
-        assert!(sensed(task.goal, &untold).iter().all(|value| value.is_nan()));
     }
 
     #[test]

@@ -1,0 +1,162 @@
+//! Channels of coverage: what a robot's sensor covers, and a local map of what the robot has seen so far.
+
+use murmurate::messages::geometry::Vec2;
+use murmurate::observation::{Channel, Known, Quantity, Unit};
+
+use super::{
+    field::integrals,
+    size::{Size, TRUNCATION},
+};
+
+/// Name of the channel that has what a robot's sensor covers.
+pub const DENSITY: &str = "density";
+/// Name of the channel that has a robot's local map.
+pub const MAP: &str = "map";
+/// Planes of a local map: importance of the cells that the robot has seen, whether it has seen them, and whether they
+/// are on the ground.
+const PLANES: usize = 3;
+
+/// Returns the channel `density`: the importance of each cell that the sensor covers, along x and then along y.
+pub(super) fn density(size: &'static Size) -> Channel {
+    let across = size.grid.across(size.sensor_m);
+    let about = "importance of each cell around the robot that its sensor covers, along x and then along y";
+    let form = (vec![across, across], Unit::One, Quantity::Number);
+    Channel::new(DENSITY, about, form, move |known, values| sense(size, known, values))
+}
+
+/// Returns the channel `map`: the cells of the local map around the robot, along x and then along y, in planes.
+pub(super) fn map(size: &'static Size) -> Channel {
+    let across = size.grid.across(size.local_map_m);
+    let about = "what the robot has seen around it: importance, seen (1) or not, ground (1) or not, along x, then y";
+    let form = (vec![PLANES, across, across], Unit::One, Quantity::Number);
+    let cells = size.grid.cells * size.grid.cells;
+    Channel::remembering(MAP, about, form, cells, move |seen, known, values| look(size, seen, known, values))
+}
+
+/// Writes what the sensor of a robot covers: for each cell, the integral of the density over it, row after row; 0
+/// outside the ground. All are unknown while the task of a robot of the team is.
+fn sense(size: &Size, known: &Known, values: &mut [f32]) {
+    let Some(goals) = known.team.iter().map(|task| Some(task.as_ref()?.goal)).collect::<Option<Vec<Vec2>>>() else {
+        return values.fill(f32::NAN);
+    };
+    values.fill(0.0);
+    let at = size.on_ground(known.own.motion.position);
+    let window = size.grid.window(at, size.sensor_m);
+    let [below, left] = size.grid.outside(at, size.sensor_m);
+    let sums = integrals(size.grid, &size.features(goals.into_iter()), TRUNCATION, &window);
+    let across = size.grid.across(size.sensor_m);
+    for (row, sums) in sums.chunks_exact(window.columns.len().max(1)).enumerate() {
+        let written = &mut values[(below + row) * across + left..];
+        written.iter_mut().zip(sums).for_each(|(value, sum)| *value = *sum as f32);
+    }
+}
+
+/// Adds what the sensor covers to the cells that the robot has `seen`, and writes its local map. A cell that was seen
+/// holds its importance, or the smallest positive number if it has none; all others hold 0.
+fn look(size: &Size, seen: &mut [f32], known: &Known, values: &mut [f32]) {
+    let grid = size.grid;
+    let (covered, across) = (grid.across(size.sensor_m), grid.across(size.local_map_m));
+    let mut sensed = vec![0.0; covered * covered];
+    sense(size, known, &mut sensed);
+    if sensed.iter().any(|value| value.is_nan()) {
+        return values.fill(f32::NAN);
+    }
+    let at = size.on_ground(known.own.motion.position);
+    let window = grid.window(at, size.sensor_m);
+    let [below, left] = grid.outside(at, size.sensor_m);
+    for (row, of_ground) in window.rows.clone().enumerate() {
+        let new = &sensed[(below + row) * covered + left..][..window.columns.len()];
+        let cells = &mut seen[of_ground * grid.cells..][window.columns.clone()];
+        cells.iter_mut().zip(new).for_each(|(cell, value)| *cell = value.max(f32::MIN_POSITIVE));
+    }
+    values.fill(0.0);
+    let window = grid.window(at, size.local_map_m);
+    let [below, left] = grid.outside(at, size.local_map_m);
+    for (row, of_ground) in window.rows.clone().enumerate() {
+        let first = (below + row) * across + left;
+        for (column, cell) in seen[of_ground * grid.cells..][window.columns.clone()].iter().enumerate() {
+            let importance = if *cell > f32::MIN_POSITIVE { *cell } else { 0.0 };
+            let planes = [importance, if *cell > 0.0 { 1.0 } else { 0.0 }, 1.0];
+            for (plane, value) in planes.into_iter().enumerate() {
+                values[plane * across * across + first + column] = value;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use murmurate::messages::geometry::{Motion, Task};
+    use murmurate::observation::{Bound, Observation, Request, Taking};
+
+    use super::*;
+    use crate::coverage::size::TABLE;
+
+    /// Tasks of a team with goals at these places.
+    fn team(goals: &[Vec2]) -> Vec<Option<Task>> {
+        goals.iter().map(|goal| Some(Task { start: Vec2::zeros(), goal: *goal })).collect()
+    }
+
+    #[test]
+    fn a_sensor_covers_the_cells_around_the_robot_and_none_outside_the_ground() {
+        let goal = Vec2::new(0.3, -0.2);
+        let sensed = |at: Vec2, team: &[Option<Task>]| {
+            let (own, task) = (Observation::new(Motion::at_rest(at), goal), Task { start: at, goal });
+            let mut values = vec![f32::NAN; 100];
+            sense(&TABLE, &Known { task: &task, team, own: &own, sensed: &[] }, &mut values);
+            values
+        };
+        let there = sensed(goal, &team(&[goal]));
+        assert!(there[55] > 0.0 && there.iter().all(|value| value.is_finite()));
+        assert!(sensed(Vec2::new(-1.0, -1.0), &team(&[goal]))[..50].iter().all(|&value| value == 0.0));
+        assert!(sensed(Vec2::new(90.0, -1.0), &team(&[goal])).iter().all(|&value| value == 0.0));
+        let untold = [team(&[goal])[0], None];
+        assert!(sensed(goal, &untold).iter().all(|value| value.is_nan()));
+    }
+
+    #[test]
+    fn a_map_has_what_the_robot_has_seen_on_its_way_and_nothing_else() {
+        let goal = Vec2::new(0.1, 0.0);
+        let (channels, across) = ([density(&TABLE), map(&TABLE)], 30);
+        let request = |name: &str, shape: &[usize]| Request {
+            input: name.to_owned(),
+            channel: name.to_owned(),
+            shape: shape.to_vec(),
+            unit: Unit::One,
+            frame: None,
+            taking: Taking::default(),
+        };
+        let requests = [request(DENSITY, &[10, 10]), request(MAP, &[3, across, across])];
+        let bound = Bound::new(&requests, &channels).expect("they are there");
+        let mut seen = vec![0.0; bound.memory()];
+        let mut map_at = |at: Vec2| {
+            let (own, task) = (Observation::new(Motion::at_rest(at), goal), Task { start: at, goal });
+            let mut values = vec![f32::NAN; bound.floats()];
+            let team = team(&[goal]);
+            bound.write(&mut seen, &Known { task: &task, team: &team, own: &own, sensed: &[] }, &mut values);
+            let map = values.split_off(100);
+            let planes: Vec<Vec<f32>> = map.chunks_exact(across * across).map(<[f32]>::to_vec).collect();
+            (values, planes)
+        };
+        let (sensed, planes) = map_at(goal);
+        // The sensor covers the middle 10 x 10 of the 30 x 30 cells.
+        for (at, value) in planes[0].iter().enumerate() {
+            let [row, column] = [at / across, at % across];
+            let inside = (10..20).contains(&row) && (10..20).contains(&column);
+            assert_eq!(planes[1][at], if inside { 1.0 } else { 0.0 });
+            assert_eq!(*value, if inside { sensed[(row - 10) * 10 + column - 10] } else { 0.0 });
+        }
+        assert!(planes[2].iter().all(|ground| *ground == 1.0));
+        // Four cells along x: what it saw before is four rows lower now, and it sees as much as before.
+        let (_, moved) = map_at(goal + Vec2::new(0.2, 0.0));
+        assert_eq!(moved[1].iter().sum::<f32>(), 140.0);
+        for at in 0..planes[0].len() - 4 * across {
+            if planes[1][at + 4 * across] == 1.0 {
+                assert_eq!(moved[0][at], planes[0][at + 4 * across], "cell {at}");
+            }
+        }
+        let (_, rim) = map_at(Vec2::new(-1.0, 0.0));
+        assert!(rim[2][..15 * across].iter().all(|ground| *ground == 0.0), "half of it is outside the ground");
+        assert!(rim[2][15 * across..].iter().all(|ground| *ground == 1.0));
+    }
+}
