@@ -73,19 +73,50 @@ pub struct Hop {
 pub(crate) struct Space {
     /// Edge features, one row for each sender; with a self-loop, the robot's own last.
     edges: Vec<f32>,
-    /// Input of the network that is computed, one row for each sender.
-    rows: Vec<f32>,
-    /// Contribution of the robot's own input to the first layer of that network.
-    start: Vec<f32>,
+    work: Work,
     messages: Vec<f32>,
     keys: Vec<f32>,
     query: Vec<f32>,
     scores: Vec<f32>,
     sum: Vec<f32>,
     folded: folded::Space,
-    buffers: Buffers,
     /// Number of senders that the buffers have room for.
     capacity: usize,
+}
+
+/// Buffers for the network of a hop that is computed.
+#[derive(Debug, Default)]
+struct Work {
+    /// Input of the network, one row for each sender.
+    rows: Vec<f32>,
+    /// Contribution of the robot's own input to the first layer.
+    start: Vec<f32>,
+    buffers: Buffers,
+}
+
+/// Senders of the messages of a hop: the neighbours and, with a self-loop, the robot itself as the last.
+#[derive(Clone, Copy, Debug)]
+struct Senders<'a> {
+    /// Input of the hop of the robot itself.
+    own: &'a [f32],
+    /// Place of the hop's input in a latent.
+    place: (usize, usize),
+    neighbours: &'a [Neighbour<'a>],
+    /// Edge features, `edge` floats for each sender.
+    edges: &'a [f32],
+    edge: usize,
+    count: usize,
+}
+
+impl<'a> Senders<'a> {
+    /// Returns the input of the hop of the sender with the index `at`.
+    #[inline(always)]
+    fn input(&self, at: usize) -> &'a [f32] {
+        match self.neighbours.get(at) {
+            Some(neighbour) => &neighbour.features[self.place.0..self.place.1],
+            None => self.own,
+        }
+    }
 }
 
 impl Hop {
@@ -200,23 +231,23 @@ impl Hop {
         let edge: usize = self.edge.iter().map(|feature| feature.floats()).sum();
         space.edges.resize(rows * edge, 0.0);
         let widest = parts().map(|part| part.perceptron.inputs()).max().unwrap_or(0);
-        space.rows.resize(rows * widest, 0.0);
+        space.work.rows.resize(rows * widest, 0.0);
         let start = parts().filter_map(|part| part.own.as_ref()).map(Layer::outputs).max();
-        space.start.resize(start.unwrap_or(0), 0.0);
+        space.work.start.resize(start.unwrap_or(0), 0.0);
         space.messages.resize(rows * self.messages, 0.0);
         space.keys.resize(rows * self.key.as_ref().map_or(0, |key| key.perceptron.outputs()), 0.0);
         space.query.resize(self.query.as_ref().map_or(0, Perceptron::outputs), 0.0);
         space.scores.resize(rows * self.heads, 0.0);
         space.sum.resize(self.messages, 0.0);
-        parts().for_each(|part| space.buffers.reserve(&part.perceptron, rows));
-        self.query.iter().for_each(|query| space.buffers.reserve(query, 1));
+        parts().for_each(|part| space.work.buffers.reserve(&part.perceptron, rows));
+        self.query.iter().for_each(|query| space.work.buffers.reserve(query, 1));
         match &self.update {
             Update::Messages => {}
             Update::Network(part) => {
-                space.buffers.reserve(&part.perceptron, 1);
-                space.rows.resize(space.rows.len().max(part.perceptron.inputs()), 0.0);
+                space.work.buffers.reserve(&part.perceptron, 1);
+                space.work.rows.resize(space.work.rows.len().max(part.perceptron.inputs()), 0.0);
             }
-            Update::Folded(folded) => folded.reserve(&mut space.folded, &mut space.buffers),
+            Update::Folded(folded) => folded.reserve(&mut space.folded, &mut space.work.buffers),
         }
     }
 
@@ -234,40 +265,24 @@ impl Hop {
     ) {
         let own = &latent[self.begins..][..self.input];
         let count = self.write_edges(motion, neighbours, space);
-        let Space { edges, rows, start, messages, keys, query, scores, sum, folded, buffers, .. } = space;
-        let edge = edges.len() / space.capacity;
-        // With a self-loop, the robot itself is the last sender.
-        let sender = |at: usize| neighbours.get(at).map_or(own, |other| &other.features[self.begins..][..self.input]);
-        let mut per_sender = |part: &Part, out: &mut [f32]| {
-            for (at, row) in rows.chunks_exact_mut(part.perceptron.inputs()).take(count).enumerate() {
-                let of = |input: Input| match input {
-                    Input::Own => own,
-                    Input::Sender => sender(at),
-                    Input::Edge => &edges[at * edge..][..edge],
-                    Input::Messages => &[],
-                };
-                compose(&part.inputs, of, row);
-                if self.relative {
-                    row.iter_mut().zip(own).for_each(|(theirs, mine)| *theirs -= mine);
-                }
-            }
-            let of_own = part.own.as_ref().map(|layer| {
-                layer.apply(1, own, start, Relu::None);
-                &start[..]
-            });
-            part.perceptron.apply_from(of_own, count, rows, out, buffers);
-        };
+        let Space { edges, work, messages, keys, query, scores, sum, folded, .. } = space;
+        let (place, edge) = ((self.begins, self.begins + self.input), edges.len() / space.capacity);
+        let senders = Senders { own, place, neighbours, edges, edge, count };
         match &self.message {
-            Some(part) => per_sender(part, messages),
+            Some(part) => self.of_senders(part, senders, work, messages),
             None => {
                 let rows = messages.chunks_exact_mut(self.input).take(count).enumerate();
-                rows.for_each(|(at, row)| row.copy_from_slice(sender(at)));
+                rows.for_each(|(at, row)| row.copy_from_slice(senders.input(at)));
             }
         }
-        self.score.iter().for_each(|part| per_sender(part, scores));
-        self.key.iter().for_each(|part| per_sender(part, keys));
+        if let Some(part) = &self.score {
+            self.of_senders(part, senders, work, scores);
+        }
+        if let Some(part) = &self.key {
+            self.of_senders(part, senders, work, keys);
+        }
         if let Some(perceptron) = &self.query {
-            perceptron.apply(1, own, query, buffers);
+            perceptron.apply(1, own, query, &mut work.buffers);
             attention::dot_products(count, self.heads, query, keys, scores);
         }
         match (self.aggregation, &self.update) {
@@ -286,12 +301,39 @@ impl Hop {
         match &self.update {
             Update::Messages => out.copy_from_slice(sum),
             Update::Network(part) => {
-                let row = &mut rows[..part.perceptron.inputs()];
+                let row = &mut work.rows[..part.perceptron.inputs()];
                 compose(&part.inputs, |input| if input == Input::Own { own } else { sum }, row);
-                part.perceptron.apply(1, row, out, buffers);
+                part.perceptron.apply(1, row, out, &mut work.buffers);
             }
-            Update::Folded(update) => update.apply((own, sum, count), folded, out, buffers),
+            Update::Folded(update) => update.apply((own, sum, count), folded, out, &mut work.buffers),
         }
+    }
+
+    /// Computes the network `part` for each of the `senders`; `out` receives a row for each.
+    #[inline(always)]
+    fn of_senders(&self, part: &Part, senders: Senders, work: &mut Work, out: &mut [f32]) {
+        let Work { rows, start, buffers } = work;
+        let Senders { own, edges, edge, count, .. } = senders;
+        for (at, row) in rows.chunks_exact_mut(part.perceptron.inputs()).take(count).enumerate() {
+            let of = |input: Input| match input {
+                Input::Own => own,
+                Input::Sender => senders.input(at),
+                Input::Edge => &edges[at * edge..][..edge],
+                Input::Messages => &[],
+            };
+            compose(&part.inputs, of, row);
+            if self.relative {
+                row.iter_mut().zip(own).for_each(|(theirs, mine)| *theirs -= mine);
+            }
+        }
+        let of_own: Option<&[f32]> = match &part.own {
+            Some(layer) => {
+                layer.apply(1, own, start, Relu::None);
+                Some(start)
+            }
+            None => None,
+        };
+        part.perceptron.apply_from(of_own, count, rows, out, buffers);
     }
 
     /// Writes the features of the senders' edges into `space`, and returns the number of senders: the neighbours, and
