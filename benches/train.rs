@@ -12,14 +12,15 @@ use murmurate::random::Seed;
 use murmurate::registry::Registry;
 use murmurate::scenario::{self, Settings};
 use murmurate::senses::Settings as SenseSettings;
-use murmurate_train::batch::{Batch, Graphs};
+use murmurate_train::batch::Batch;
 use murmurate_train::conditions::EpisodeConditions;
 use murmurate_train::config::{Conditions, Config, CurriculumStage, Reward};
 use murmurate_train::environments::Environments;
-use murmurate_train::network::{Space, TrainableGnn};
+use murmurate_train::graphs::Graphs;
+use murmurate_train::learner::{self, Initial};
+use murmurate_train::network::{Network, Space};
 use murmurate_train::rollout::CHUNK;
 use murmurate_train::trainer::{Plan, Trainer};
-use murmurate_train::update::initial;
 use murmurate_train::vector::{Autoreset, Buffers, Content, Lengths, Lidar, Options, VectorEnvironment};
 use rand::RngExt;
 
@@ -151,11 +152,11 @@ fn forward(bencher: Bencher, architecture: &str) {
     const ENVIRONMENTS: usize = 4096;
     let mut config = preset("published");
     if architecture == "published" {
-        (config.policy.architecture, config.policy.edge) = (Architecture::Published, Vec::new());
+        (config.policy.architecture, config.policy.edge) = (Some(Architecture::Published), Vec::new());
     }
-    let network = TrainableGnn::new(config.actor());
-    let parameters = initial(&network, Seed::of_run(1), &[0.0; 4]);
+    let network = Network::new(config.actor());
     let mut stream = Seed::of_run(1).stream("bench");
+    let parameters = learner::parameters(&network, Initial::Normal(&[0.0; 4]), &mut stream);
     let mut graphs = Graphs::new(5, network.inputs(), network.shape().edge);
     for _ in 0..ENVIRONMENTS {
         for _ in 0..5 {
@@ -172,7 +173,7 @@ fn forward(bencher: Bencher, architecture: &str) {
     let (mut batch, mut space) = (Batch::default(), Space::default());
     bencher.counter(ItemsCount::new(ENVIRONMENTS)).bench_local(|| {
         for first in (0..ENVIRONMENTS).step_by(CHUNK) {
-            batch.gather((first..first + CHUNK).map(|graph| (&graphs, graph)));
+            batch.gather((first..first + CHUNK).map(|graph| graphs.window(graph, 1)));
             network.forward(&parameters, &batch, &mut space);
             divan::black_box(space.outputs());
         }

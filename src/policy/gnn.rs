@@ -1,12 +1,12 @@
 //! Message-passing networks, evaluated for one robot: policies of formats 1 and 2.
 //!
 //! A policy is an encoder, a memory if it has one, one or more hops of message passing (`hops`), and a decoder. Robot i
-//! broadcasts the inputs of all hops in one message. The two architectures of format 1 are policies of one hop without a
-//! decoder. With h_i = encoder(observation of robot i) they are:
+//! broadcasts the inputs of all hops in one message. The two architectures of format 1 are policies of one hop without
+//! a decoder. With h_i = encoder(observation of robot i) they are:
 //!
 //! - published: update(sum over j of message(h_j - h_i)), a sum with the robot's own term message(0);
-//! - full, equation (1) of arXiv 2111.01777: update(\[h_i, sum over j of message(\[h_i, h_j, e_ij\])\]), a sum without an
-//!   own term.
+//! - full, equation (1) of arXiv 2111.01777: update(\[h_i, sum over j of message(\[h_i, h_j, e_ij\])\]), a sum without
+//!   an own term.
 
 use std::sync::Arc;
 

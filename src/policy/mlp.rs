@@ -1,5 +1,5 @@
-//! Layers of perceptrons for the control path: small, without memory allocation, and with bit-identical results on every
-//! machine.
+//! Layers of perceptrons for the control path: small, without memory allocation, and with bit-identical results on
+//! every machine.
 //!
 //! Every output is a sum over the inputs in their order, with multiplications and additions only (none fused). So
 //! blocking and vector width change the speed, not the result. `Instructions` selects the vector width at run time.

@@ -19,8 +19,8 @@ use crate::time::Span;
 pub enum Model {
     /// Scripted navigation by optimal reciprocal collision avoidance (ORCA), without training.
     Orca,
-    /// Trained graph neural network from a policy file of format 1 or 2, with the method by which actions are drawn from
-    /// its output distribution.
+    /// Trained graph neural network from a policy file of format 1 or 2, with the method by which actions are drawn
+    /// from its output distribution.
     Gnn(Arc<GnnWeights>, Draw),
     /// Policy that another crate implements in code; see [`Model::custom`].
     Custom(Custom),

@@ -19,8 +19,8 @@ pub(super) const PUBLISHED_NAMES: [&str; 3] = ["encoder", "gnn", "post"];
 
 /// Prefix of the names of the tensors in a policy file that hold its test data ([`Probe`]: inputs and correct outputs).
 pub(super) const PROBE: &str = "probe.";
-/// Names of the tensors that hold the test data of each policy file, in the order of [`Probe`]'s fields; each tensor has
-/// one row per robot.
+/// Names of the tensors that hold the test data of each policy file, in the order of [`Probe`]'s fields; each tensor
+/// has one row per robot.
 const PROBE_TENSORS: [&str; 6] =
     ["probe.position", "probe.velocity", "probe.goal", "probe.age", "probe.latent", "probe.output"];
 
@@ -207,8 +207,8 @@ pub(super) fn tensors(bytes: &[u8]) -> Result<SafeTensors<'_>, WeightsError> {
     Err(WeightsError::Foreign(foreign))
 }
 
-/// Returns the version of the format that the manifest `text` says; 1 if it is no object. It is an error if this program
-/// does not read that: the other fields of another format would be errors that say less.
+/// Returns the version of the format that the manifest `text` says; 1 if it is no object. It is an error if this
+/// program does not read that: the other fields of another format would be errors that say less.
 pub(super) fn format(text: &str) -> Result<u32, WeightsError> {
     let [first, second] = manifest::FORMATS;
     let Ok(serde_json::Value::Object(fields)) = serde_json::from_str(text) else { return Ok(first) };
@@ -335,8 +335,8 @@ pub fn write(manifest: &Manifest, tensors: &Tensors) -> Vec<u8> {
     serialized(layout(manifest, NAMES), tensors, described)
 }
 
-/// Returns the bytes of a policy file whose networks have the layers `layout` with these weights. `manifest` returns the
-/// text of the manifest with the hash of the weights.
+/// Returns the bytes of a policy file whose networks have the layers `layout` with these weights. `manifest` returns
+/// the text of the manifest with the hash of the weights.
 ///
 /// # Panics
 /// If the weights do not have the shapes of the layout.

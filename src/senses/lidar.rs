@@ -156,8 +156,8 @@ impl Scanner {
         }
     }
 
-    /// Returns the channel of the observation by which a policy takes the lidar called `name`, the one with this `index`
-    /// among the senses of the robot.
+    /// Returns the channel of the observation by which a policy takes the lidar called `name`, the one with this
+    /// `index` among the senses of the robot.
     pub fn channel(&self, name: &str, index: usize) -> Channel {
         layout(self.rays(), self.sweep).channel(name, index)
     }

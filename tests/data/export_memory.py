@@ -64,7 +64,8 @@ def linear(weights, name, x):
 
 def step(weights, given, states):
     """Latents, outputs and states of a team whose robots all hear each other."""
-    position, velocity, goal, heading, age = (given[name] for name in ("position", "velocity", "goal", "heading", "age"))
+    names = ("position", "velocity", "goal", "heading", "age")
+    position, velocity, goal, heading, age = (given[name] for name in names)
     observation = np.concatenate([velocity, heading, goal - position], axis=1)
     encoded = [np.maximum(linear(weights, "encoder.0", x), 0) for x in observation]
     states = np.array([gru(weights, x, h) for x, h in zip(encoded, states)])

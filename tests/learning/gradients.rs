@@ -1,37 +1,80 @@
-//! Every derivative of the trainer against central differences in f64: both architectures, the losses of policy and
-//! critic, through late sources, robots without neighbours, and every layer.
+//! Every derivative of the trainer against central differences in f64: networks of one hop in both architectures, of
+//! several hops through time and with memory, and the losses of policy and critic; through late messages, robots
+//! without neighbours, and every layer.
 
 use murmurate::policy::manifest::Architecture;
 use murmurate::random::{Seed, Stream};
-use murmurate_train::batch::{Batch, Graphs};
+use murmurate_train::batch::Batch;
+use murmurate_train::graphs::{Graphs, Window};
 use murmurate_train::loss::{self, Sample, Terms};
-use murmurate_train::network::{Shape, Space, TrainableGnn};
+use murmurate_train::network::layer::Activation;
+use murmurate_train::network::shape::{Aggregation, HopShape, MessagePart, UpdatePart, Widths};
+use murmurate_train::network::{Network, Shape, Space};
 use rand::RngExt;
 
-/// Returns graphs of three robots: with late sources, with a robot 1 without neighbours, and without any edge.
-fn graphs(inputs: usize, edge: usize, stream: &mut Stream) -> Graphs {
-    let mut graphs = Graphs::new(3, inputs, edge);
+fn fill(floats: &mut [f32], stream: &mut Stream) {
+    floats.iter_mut().for_each(|float| *float = stream.random_range(-1.0..1.0));
+}
+
+/// Returns three graphs of three robots: with late sources, with a robot 1 without neighbours, and without any edge.
+fn single_graphs(network: &Network, stream: &mut Stream) -> Batch<f64> {
+    let mut graphs = Graphs::new(3, network.inputs(), network.shape().edge);
     let heard: [&[(usize, u16)]; 3] =
         [&[(0, 1), (0, 3), (1, 0), (1, 2), (2, 4), (2, 3)], &[(0, 1), (0, 2), (2, 3)], &[]];
     for (extra, edges) in [2, 1, 0].into_iter().zip(heard) {
         for _ in 0..3 + extra {
-            graphs.source().1.iter_mut().for_each(|float| *float = stream.random_range(-1.0..1.0));
+            fill(graphs.source().1, stream);
         }
         for &(receiver, sender) in edges {
-            graphs.edge(receiver, sender).iter_mut().for_each(|float| *float = stream.random_range(-1.0..1.0));
+            fill(graphs.edge(receiver, sender), stream);
         }
         graphs.end();
     }
-    graphs
+    let mut batch = Batch::default();
+    batch.gather((0..3).map(|graph| graphs.window(graph, 1)));
+    assert_eq!((batch.outputs, batch.nodes), (9, 9));
+    batch
 }
 
-fn shapes() -> Vec<Shape> {
-    let shape = |architecture, message: &[usize], update: &[usize], edge| Shape {
-        architecture,
-        encoder: vec![4, 7, 5],
-        message: message.to_vec(),
-        update: update.to_vec(),
-        edge,
+/// Returns windows of two rows of three robots, with messages of several ages, some from before the windows. In one row
+/// an episode begins within the window.
+fn windows(network: &Network, stream: &mut Stream) -> Batch<f64> {
+    let (widths, memory) = (network.hop_inputs(), network.shape().memory.is_some());
+    let width: usize = widths.iter().sum();
+    let mut graphs = Graphs::new(3, network.inputs(), network.shape().edge).recurrent(2, widths, memory, 3);
+    let mut past = vec![0.0; graphs.last_latents().len()];
+    fill(&mut past, stream);
+    assert!(graphs.restore_latents(past));
+    let heard: [&[(usize, u16, u8)]; 3] =
+        [&[(0, 1, 0), (0, 2, 1), (1, 0, 3), (1, 2, 0), (2, 1, 2)], &[(0, 1, 1), (2, 0, 2), (2, 1, 0)], &[(1, 2, 1)]];
+    for (graph, edges) in heard.iter().cycle().take(12).enumerate() {
+        for _ in 0..3 {
+            fill(graphs.source().1, stream);
+            graphs.begins(graph == 6);
+        }
+        for &(receiver, sender, age) in *edges {
+            fill(graphs.edge_of_age(receiver, sender, age), stream);
+        }
+        graphs.end();
+        let mut latents = vec![0.0; 3 * width];
+        fill(&mut latents, stream);
+        graphs.store_latents(3, |_| &latents);
+    }
+    let all = [
+        Window { graphs: &graphs, first: 0, steps: 6, lookback: 2, every: 2 },
+        Window { graphs: &graphs, first: 3, steps: 3, lookback: 1, every: 1 },
+        Window { graphs: &graphs, first: 7, steps: 1, lookback: 0, every: 4 },
+    ];
+    let mut batch = Batch::default();
+    batch.gather(all.iter().copied());
+    assert_eq!((batch.outputs, batch.nodes), (15, 30));
+    assert!(batch.recorded[0].len() >= 3 * network.hop_inputs()[0], "some messages are from before the windows");
+    batch
+}
+
+fn one_hop_shapes() -> Vec<Shape> {
+    let shape = |architecture, message: &[usize], update: &[usize], edge| {
+        Shape::one_hop(architecture, [vec![4, 7, 5], message.to_vec(), update.to_vec()], edge)
     };
     vec![
         shape(Architecture::Published, &[5, 8, 6, 7], &[7, 9, 4], 0),
@@ -39,6 +82,58 @@ fn shapes() -> Vec<Shape> {
         shape(Architecture::Full, &[13, 8, 6, 7], &[12, 9, 6, 4], 3),
         shape(Architecture::Full, &[10, 8, 9, 6, 7], &[12, 9, 4], 0),
     ]
+}
+
+/// Returns a shape with all these hops, each from its message inputs and update inputs to an output of 4 floats.
+fn hops_shape(hops: &[(&[MessagePart], &[UpdatePart])], memory: Option<usize>) -> Shape {
+    let mut shape = Shape {
+        encoder: Widths { last: Activation::Tanh, ..Widths::rectified(vec![4, 6, 5]) },
+        memory,
+        hops: Vec::new(),
+        decoder: Some(Widths::rectified(vec![4, 4])),
+        edge: 3,
+    };
+    for (index, (message_inputs, update_inputs)) in hops.iter().enumerate() {
+        let input = shape.hop_input(index);
+        let message: usize = message_inputs.iter().map(|part| if *part == MessagePart::Edge { 3 } else { input }).sum();
+        let update: usize = update_inputs.iter().map(|part| if *part == UpdatePart::Own { input } else { 5 }).sum();
+        shape.hops.push(HopShape {
+            message: Widths::rectified(vec![message, 7, 6, 5]),
+            message_inputs: message_inputs.to_vec(),
+            aggregation: if index % 2 == 0 { Aggregation::Mean } else { Aggregation::Sum },
+            self_loop: false,
+            update: Widths::rectified(vec![update, 6, 4]),
+            update_inputs: update_inputs.to_vec(),
+        });
+    }
+    shape
+}
+
+fn recurrent_shapes() -> Vec<Shape> {
+    use MessagePart::{Difference, Edge, Own, Sender};
+    let (full, messages) = (&[UpdatePart::Own, UpdatePart::Messages][..], &[UpdatePart::Messages][..]);
+    let edges = (&[Edge][..], messages);
+    let all = (&[Own, Sender, Edge][..], full);
+    let other = (&[Edge, Sender][..], &[UpdatePart::Messages, UpdatePart::Own][..]);
+    let mut shapes = vec![
+        hops_shape(&[all], None),
+        hops_shape(&[edges, other, all], None),
+        hops_shape(&[all, other, all, other], None),
+        hops_shape(&[all], Some(6)),
+        hops_shape(&[other, (&[Own, Edge][..], full), all], Some(5)),
+    ];
+    // Every kind of activation, of message network and of message to itself.
+    for (index, form) in [(&[Difference, Edge][..], messages), all, (&[Sender][..], full)].into_iter().enumerate() {
+        let mut shape = hops_shape(&[form, form], (index == 0).then_some(3));
+        for hop in &mut shape.hops {
+            hop.self_loop = true;
+            hop.message.last = [Activation::Relu, Activation::Tanh, Activation::Linear][index];
+            (hop.message.between, hop.update.last) = (Activation::Tanh, Activation::Relu);
+            hop.message.widths.drain(1..3 - index);
+        }
+        shapes.push(shape);
+    }
+    shapes
 }
 
 /// Returns the sum of both losses over all robots, and its derivatives by the outputs.
@@ -56,54 +151,63 @@ fn lost(outputs: &[f64], samples: &[Sample<f64>]) -> (f64, Vec<f64>) {
     (sum, d_outputs)
 }
 
-#[test]
-fn every_derivative_matches_central_differences() {
-    for (index, shape) in shapes().into_iter().enumerate() {
-        let mut stream = Seed::of_run(3).stream(&format!("gradients/{index}"));
-        let network = TrainableGnn::new(shape);
-        let graphs = graphs(network.inputs(), network.shape().edge, &mut stream);
-        let mut batch = Batch::default();
-        batch.gather((0..3).map(|graph| (&graphs, graph)));
-        let mut parameters: Vec<f64> = (0..network.parameters()).map(|_| stream.random_range(-0.6..0.6)).collect();
-        // Positive biases keep most units active: an inactive one has no gradient.
-        for (_, _, bias, end) in network.layers().concat() {
-            parameters[bias..end].iter_mut().for_each(|bias| *bias = bias.abs());
-        }
-        let samples: Vec<Sample<f64>> = (0..9)
-            .map(|_| Sample {
-                action: [stream.random_range(-1.0..1.0), stream.random_range(-1.0..1.0)],
-                log_density: stream.random_range(-2.5..-1.5),
-                advantage: stream.random_range(-1.0..1.0),
-            })
-            .collect();
-        let mut space = Space::default();
-        network.forward(&parameters, &batch, &mut space);
-        let (_, d_outputs) = lost(space.outputs(), &samples);
-        let mut gradient = vec![0.0; parameters.len()];
-        network.backward(&parameters, &batch, &d_outputs, &mut space, &mut gradient);
-        let alive = gradient.iter().filter(|g| g.abs() > 1e-9).count();
-        assert!(alive * 3 > gradient.len(), "{alive} of {} parameters matter", gradient.len());
+/// Compares every derivative of a network over a batch with central differences.
+fn compare(name: &str, network: &Network, batch: &Batch<f64>, stream: &mut Stream) {
+    let mut parameters: Vec<f64> = (0..network.parameters()).map(|_| stream.random_range(-0.6..0.6)).collect();
+    // Positive biases keep most units active: an inactive one has no gradient.
+    for layer in network.layers().concat() {
+        parameters[layer.bias()..layer.end()].iter_mut().for_each(|bias| *bias = bias.abs());
+    }
+    let sample = |stream: &mut Stream| Sample {
+        action: [stream.random_range(-1.0..1.0), stream.random_range(-1.0..1.0)],
+        log_density: stream.random_range(-2.5..-1.5),
+        advantage: stream.random_range(-1.0..1.0),
+    };
+    let samples: Vec<Sample<f64>> = (0..batch.outputs).map(|_| sample(stream)).collect();
+    let mut space = Space::default();
+    network.forward(&parameters, batch, &mut space);
+    assert_eq!(space.outputs().len(), 4 * batch.outputs, "{name}");
+    let (_, d_outputs) = lost(space.outputs(), &samples);
+    let mut gradient = vec![0.0; parameters.len()];
+    network.backward(&parameters, batch, &d_outputs, &mut space, &mut gradient);
+    let alive = gradient.iter().filter(|g| g.abs() > 1e-9).count();
+    assert!(alive * 3 > gradient.len(), "{name}: {alive} of {} parameters matter", gradient.len());
 
-        let mut other = Space::default();
-        let mut worst: f64 = 0.0;
-        for at in 0..parameters.len() {
-            let (kept, by) = (parameters[at], 1e-6);
-            let mut at_offset = |offset: f64| {
-                parameters[at] = kept + offset;
-                network.forward(&parameters, &batch, &mut other);
-                lost(other.outputs(), &samples).0
-            };
-            let difference = (at_offset(by) - at_offset(-by)) / (2.0 * by);
-            parameters[at] = kept;
-            let error = (difference - gradient[at]).abs() / (1.0 + difference.abs());
-            worst = worst.max(error);
-            assert!(
-                error < 1e-6,
-                "shape {index}, parameter {at}: {} by hand, {difference} by difference",
-                gradient[at]
-            );
-        }
-        println!("shape {index}: {} parameters, worst relative error {worst:.1e}", parameters.len());
+    let mut other = Space::default();
+    let mut worst: f64 = 0.0;
+    for at in 0..parameters.len() {
+        let (kept, by) = (parameters[at], 1e-6);
+        let mut at_offset = |offset: f64| {
+            parameters[at] = kept + offset;
+            network.forward(&parameters, batch, &mut other);
+            lost(other.outputs(), &samples).0
+        };
+        let difference = (at_offset(by) - at_offset(-by)) / (2.0 * by);
+        parameters[at] = kept;
+        let error = (difference - gradient[at]).abs() / (1.0 + difference.abs());
+        worst = worst.max(error);
+        assert!(error < 1e-6, "{name}, parameter {at}: {} by hand, {difference} by difference", gradient[at]);
+    }
+    println!("{name}: {} parameters, worst relative error {worst:.1e}", parameters.len());
+}
+
+#[test]
+fn every_derivative_of_networks_over_single_graphs_matches_central_differences() {
+    for (index, shape) in one_hop_shapes().into_iter().chain(recurrent_shapes().into_iter().take(1)).enumerate() {
+        let mut stream = Seed::of_run(3).stream(&format!("gradients/{index}"));
+        let network = Network::new(shape);
+        let batch = single_graphs(&network, &mut stream);
+        compare(&format!("shape {index}"), &network, &batch, &mut stream);
+    }
+}
+
+#[test]
+fn every_derivative_of_networks_through_time_matches_central_differences() {
+    for (index, shape) in one_hop_shapes().into_iter().chain(recurrent_shapes()).enumerate() {
+        let mut stream = Seed::of_run(3).stream(&format!("gradients/time/{index}"));
+        let network = Network::new(shape);
+        let batch = windows(&network, &mut stream);
+        compare(&format!("shape {index} through time"), &network, &batch, &mut stream);
     }
 }
 

@@ -1,99 +1,14 @@
-//! Training by imitation: every derivative of a policy of several hops against central differences in f64, rollouts
-//! that compute what the policy file computes, the same weights on any number of threads, exact resumption, and a
-//! policy that learns.
+//! Training by imitation: rollouts that compute what the policy file computes, the same weights on any number of
+//! threads, exact resumption, and a policy that learns.
 
 use std::sync::Arc;
 
 use murmurate::policy::Model;
-use murmurate::policy::hops::manifest::{Aggregation, Layers, Manifest};
-use murmurate::policy::hops::perceptron::Activation;
-use murmurate::random::{Seed, Stream};
 use murmurate::registry::Registry;
 use murmurate::scenario::judge::Verdict;
 use murmurate::trial::Trial;
 use murmurate_train::imitation::config::Config;
-use murmurate_train::imitation::graph::Graph;
-use murmurate_train::imitation::network::{Space, TrainableHops};
 use murmurate_train::imitation::trainer::{Plan, Trainer};
-use rand::RngExt;
-
-/// Returns a graph of six nodes: with several edges, with none, and with edges back in time, as of earlier steps.
-fn graph(observation: usize, edge: usize, stream: &mut Stream) -> Graph<f64> {
-    let mut graph = Graph::default();
-    graph.clear();
-    let heard: [&[u32]; 6] = [&[1, 2], &[], &[0, 1, 5], &[0, 4], &[3], &[1, 3, 4, 2]];
-    for senders in heard {
-        graph.observations.extend((0..observation).map(|_| stream.random_range(-1.0..1.0)));
-        for sender in senders {
-            graph.sender.push(*sender);
-            graph.edges.extend((0..edge).map(|_| stream.random_range(-1.0..1.0)));
-        }
-        graph.end_node();
-    }
-    graph
-}
-
-fn manifest(hops: usize, aggregation: Aggregation, activation: Activation) -> Manifest {
-    let mut config = Config::preset();
-    (config.policy.hops, config.policy.aggregation, config.policy.activation) = (hops, aggregation, activation);
-    (config.policy.message, config.policy.update) = (vec![6, 5], vec![7, 4]);
-    config.manifest("flocking")
-}
-
-#[test]
-fn every_derivative_of_several_hops_matches_central_differences() {
-    let mut shapes: Vec<Manifest> = (1..=4).map(|hops| manifest(hops, Aggregation::Mean, Activation::Relu)).collect();
-    shapes.push(manifest(3, Aggregation::Sum, Activation::Tanh));
-    // All inputs that a network of the format may have, in another order.
-    let mut all = manifest(2, Aggregation::Sum, Activation::Relu);
-    let inputs = |text: &str, widths: &[usize]| -> Layers {
-        let form = serde_json::json!({"inputs": text.split(' ').collect::<Vec<_>>(), "widths": widths,
-            "activation": "relu", "output_activation": "tanh"});
-        serde_json::from_value(form).expect("it is a network")
-    };
-    all.hops[0].message = Some(inputs("edge own sender", &[7, 6, 5]));
-    all.hops[0].update = Some(inputs("messages own", &[6, 4]));
-    all.hops[1].update = Some(inputs("own", &[4, 4]));
-    all.check().expect("it is sound");
-    shapes.push(all);
-    for (index, manifest) in shapes.iter().enumerate() {
-        let network = TrainableHops::new(manifest).expect("training supports it");
-        let mut stream = Seed::of_run(5).stream(&format!("hops/{index}"));
-        let graph = graph(network.inputs(), network.edge(), &mut stream);
-        let mut parameters: Vec<f64> = (0..network.parameters()).map(|_| stream.random_range(-0.6..0.6)).collect();
-        // Positive biases keep most units active: an inactive one has no gradient.
-        for [_, _, bias, end] in network.layers() {
-            parameters[bias..end].iter_mut().for_each(|bias| *bias = bias.abs());
-        }
-        let weights: Vec<f64> =
-            (0..graph.nodes() * network.outputs()).map(|_| stream.random_range(-1.0..1.0)).collect();
-        let (mut space, mut other) = (Space::default(), Space::default());
-        // The loss is the weighted sum of the squared outputs.
-        let loss = |outputs: &[f64]| outputs.iter().zip(&weights).map(|(y, w)| w * y * y).sum::<f64>();
-        network.forward(&parameters, &graph, &mut space);
-        let d_outputs: Vec<f64> = space.outputs().iter().zip(&weights).map(|(y, w)| 2.0 * w * y).collect();
-        let mut gradient = vec![0.0; parameters.len()];
-        network.backward(&parameters, &graph, &d_outputs, &mut space, &mut gradient);
-        let alive = gradient.iter().filter(|g| g.abs() > 1e-9).count();
-        assert!(alive * 3 > gradient.len(), "shape {index}: {alive} of {} parameters matter", gradient.len());
-        for at in 0..parameters.len() {
-            let (kept, by) = (parameters[at], 1e-6);
-            let mut at_offset = |offset: f64| {
-                parameters[at] = kept + offset;
-                network.forward(&parameters, &graph, &mut other);
-                loss(other.outputs())
-            };
-            let difference = (at_offset(by) - at_offset(-by)) / (2.0 * by);
-            parameters[at] = kept;
-            let error = (difference - gradient[at]).abs() / (1.0 + difference.abs());
-            assert!(
-                error < 1e-6,
-                "shape {index}, parameter {at}: {} by hand, {difference} by difference",
-                gradient[at]
-            );
-        }
-    }
-}
 
 /// Returns the plan of a small training.
 fn plan(hops: usize, seed: u64) -> Plan {

@@ -6,5 +6,6 @@ mod gradients;
 mod imitation;
 mod memory;
 mod python_export;
+mod recurrent;
 mod sensing;
 mod training;

@@ -5,15 +5,21 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use murmurate::chassis::{Chassis, DriveKind, Settings as Body};
+use murmurate::deploy::senses_of;
 use murmurate::messages::geometry::Vec2;
+use murmurate::policy::Model;
 use murmurate::policy::hops::entry::{self, Entry};
 use murmurate::random::{RngExt, Seed, Stream};
+use murmurate::registry::Registry;
+use murmurate::scenario::judge::Verdict;
 use murmurate::scenario::{self, Scenario, Settings};
 use murmurate::senses::{self, Scanner};
+use murmurate::trial::Trial;
 use murmurate_train::channels::Channels;
 use murmurate_train::config::{Conditions, Config};
 use murmurate_train::environments::Environments;
 use murmurate_train::message_buffer::HISTORY_STEPS;
+use murmurate_train::trainer::{Plan, Trainer};
 
 const ROBOTS: usize = 3;
 const RAYS: usize = 12;
@@ -97,8 +103,8 @@ fn robots_observe_what_is_about_them_and_messages_have_the_observations_of_their
         }
         past.push(all);
         for then in (now + 1).saturating_sub(HISTORY_STEPS as u32)..=now {
-            for at in 0..2 * ROBOTS {
-                assert_eq!(observed(&environments, at / ROBOTS, (then, at % ROBOTS)), past[then as usize][at]);
+            for (at, expected) in past[then as usize].iter().enumerate() {
+                assert_eq!(observed(&environments, at / ROBOTS, (then, at % ROBOTS)), *expected);
             }
         }
         step(&mut environments, &mut stream);
@@ -147,4 +153,45 @@ fn a_channel_that_the_scenario_or_the_robots_lack_is_refused_by_its_name() {
     assert!(refused(ENTRIES, &slow).contains("senses.eyes.rate_hz"));
     let fields: Vec<Entry> = serde_json::from_str(r#"["velocity"]"#).expect("they are entries");
     assert!(Channels::new(&fields, &none, &[passage()]).expect("nothing is wrong").is_none());
+}
+
+#[test]
+fn a_policy_is_trained_with_a_lidar_and_drives_a_team_that_has_one() {
+    let mut config = Config::preset("robust").expect("it is there");
+    (config.ppo.environments, config.ppo.decisions, config.ppo.minibatch) = (40, 6, 64);
+    (config.policy.encoder, config.policy.message, config.policy.update) = (vec![8, 8], vec![12, 12, 12], vec![12]);
+    (config.policy.observation, config.senses) = (entries(), lidar(0.02));
+    let text = toml::to_string(&config).expect("a configuration is TOML");
+    assert_eq!(Config::from_toml(&text).expect("it is sound"), config, "it is written and read again");
+    let plan = Plan { scenario: "passage".to_owned(), preset: "small".to_owned(), config, seed: 3, task: None };
+    let begin = || Trainer::new(plan.clone(), &Registry::builtin()).expect("it is sound");
+    let iterate = |trainer: &mut Trainer, iterations: std::ops::Range<u32>, threads: usize| {
+        for iteration in iterations {
+            trainer.iterate(f64::from(iteration) / 8.0, threads).expect("it stays finite");
+        }
+    };
+    let mut once = begin();
+    iterate(&mut once, 0..3, 2);
+    let mut resumed = Trainer::resume(&once.checkpoint(), &Registry::builtin()).expect("it was just written");
+    iterate(&mut resumed, 3..8, 1);
+    iterate(&mut once, 3..8, 2);
+    assert!(once.policy_file() == resumed.policy_file(), "the same weights on any number of threads, and resumed");
+    let model = Model::from_file(&once.policy_file(), "passage").expect("it is sound");
+    assert_eq!((model.name(), model.requests().len()), ("gnn-hops", 3));
+    let trial = |senses: &str| {
+        let mut trial = Trial::preset("offboard", "passage").expect("it is a mode").model(model.clone()).episodes(2);
+        if !senses.is_empty() {
+            trial.deployment = trial.deployment.with_senses(senses_of(senses).expect("they are senses"));
+        }
+        trial
+    };
+    let with = trial("[senses.eyes]\nkind = \"lidar\"\nrays = 12\nrange_m = 1.5\n");
+    assert_eq!(with.check(), Ok(()));
+    let report = with.run();
+    assert!(report.episodes.iter().all(|episode| episode.verdict != Verdict::Aborted));
+    assert!(trial("").check().is_err_and(|why| why.to_string().contains("'eyes'")));
+    let mut blind = plan;
+    blind.config.senses.clear();
+    let refused = Trainer::new(blind, &Registry::builtin()).expect_err("there is no lidar").to_string();
+    assert!(refused.contains("policy.observation") && refused.contains("'eyes'"), "{refused}");
 }

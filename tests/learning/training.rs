@@ -23,7 +23,7 @@ use murmurate_train::conditions::EpisodeConditions;
 use murmurate_train::config::{Config, PRESETS, Reward};
 use murmurate_train::environments::Environments;
 use murmurate_train::evaluate::Evaluation;
-use murmurate_train::network::{Shape, TrainableGnn};
+use murmurate_train::network::{Network, Shape};
 use murmurate_train::rollout::RolloutSettings;
 use murmurate_train::trainer::{Plan, Trainer};
 use rand::RngExt;
@@ -198,7 +198,7 @@ fn a_trained_policy_s_file_records_its_training() {
         let training = file.manifest.training().cloned().expect("it says so");
         assert_eq!((training.seed, training.decisions), (3, 0));
         let manifest = file.manifest.format_1().expect("it is of format 1");
-        assert_eq!(manifest.architecture, trainer.plan().config.policy.architecture);
+        assert_eq!(Some(manifest.architecture), trainer.plan().config.policy.architecture);
         let config: Config = serde_json::from_value(training.configuration).expect("it is a configuration");
         assert_eq!(config, trainer.plan().config, "the file alone is enough to train again");
         trainer.iterate(0.5, 2).expect("it stays finite");
@@ -243,14 +243,10 @@ fn both(
 
     let configuration = manifest.training.clone().expect("it was trained here").configuration;
     let config: Config = serde_json::from_value(configuration).expect("it is a configuration");
-    let network = TrainableGnn::new(Shape {
-        architecture: manifest.architecture,
-        encoder: manifest.encoder.clone(),
-        message: manifest.message.clone(),
-        update: manifest.update.clone(),
-        edge: manifest.edge.iter().map(|field| field.floats()).sum(),
-    });
-    let critic = TrainableGnn::new(config.critic());
+    let widths = [&manifest.encoder, &manifest.message, &manifest.update].map(Vec::clone);
+    let edge = manifest.edge.iter().map(|field| field.floats()).sum();
+    let network = Network::new(Shape::one_hop(manifest.architecture, widths, edge));
+    let critic = Network::new(config.critic());
     let settings = RolloutSettings {
         config: &config,
         actor: &network,

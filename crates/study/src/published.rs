@@ -53,7 +53,8 @@ pub const LARGEST_DROP_POINTS: f64 = 36.4;
 /// the study `modes`. Its policies are the one that its authors published, whose file has no manifest, and the built-in
 /// one that was trained here for the conditions of the paper. Beside anything else its figures would compare nothing.
 pub fn ran(study: &Study, tested: &PolicyUnderTest) -> bool {
-    let authors = matches!(&tested.model, Model::Gnn(network, _) if network.manifest().format_1() == Some(&Manifest::published()));
+    let published = Manifest::published();
+    let authors = matches!(&tested.model, Model::Gnn(network, _) if network.manifest().format_1() == Some(&published));
     let ours = shipped::built_in(POLICY, SCENARIO).map(|bytes| blake3::hash(bytes).to_hex()[..16].to_owned());
     let setup = study.name == STUDY && study.scenario.name() == SCENARIO && study.scenario.robots() == ROBOTS;
     let scenario::Settings { gap_m, scale, hull_m, .. } = study.settings;

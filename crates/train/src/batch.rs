@@ -1,122 +1,60 @@
-//! Observation graphs of many decisions, and batches of them as input of a network.
+//! Batches of recorded graphs as input of a network.
 //!
-//! A graph is one decision of one row, the robots of one environment. Its nodes are the robots; an edge is a message
-//! that a robot uses. A source is an observation from which a message is encoded. A graph's first sources are the
-//! robots' current observations, in the order of the robots. Further ones are earlier observations whose messages are
-//! still in use.
+//! A batch of windows of successive graphs is one graph whose edges lead back in time: a node is a robot at a step. So
+//! a network over it computes for each node what a robot computed, whatever the ages of its messages.
 
-use std::ops::Range;
-
+use super::graphs::{Graphs, Window};
 use super::matrix::Real;
 
-/// Recorded sequence of graphs. A graph has the observations and the used messages of one decision of one row (the
-/// robots of one environment): its nodes are robots, its sources observations, and its edges messages.
+/// Order in which the memories of nodes are computed, step by step.
 #[derive(Clone, Debug, Default)]
-pub struct Graphs {
-    /// Number of robots (nodes) in each graph.
-    pub robots: usize,
-    /// Number of floats in the observation of one source.
-    pub inputs: usize,
-    /// Number of floats in the features of one edge (message).
-    pub edge_inputs: usize,
-    /// Index of each graph's first source in `observations`, and last the number of sources.
-    source_start: Vec<u32>,
-    /// Index of each graph's first edge in `senders`, and last the number of edges.
-    edge_start: Vec<u32>,
-    observations: Vec<f32>,
-    /// Receiving robot of each edge, numbered within the graph; in ascending order.
-    receivers: Vec<u16>,
-    /// Source of each edge, numbered within the graph.
-    senders: Vec<u16>,
-    edges: Vec<f32>,
-}
-
-impl Graphs {
-    /// Returns an empty sequence for graphs of `robots` robots, with observations of `inputs` floats and edges of
-    /// `edge_inputs` floats.
-    pub fn new(robots: usize, inputs: usize, edge_inputs: usize) -> Graphs {
-        Graphs { robots, inputs, edge_inputs, source_start: vec![0], edge_start: vec![0], ..Graphs::default() }
-    }
-
-    /// Returns the number of complete graphs.
-    pub fn len(&self) -> usize {
-        self.source_start.len() - 1
-    }
-
-    /// Whether there is no complete graph.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    /// Removes all graphs and keeps the allocated memory.
-    pub fn clear(&mut self) {
-        self.source_start.truncate(1);
-        self.edge_start.truncate(1);
-        self.observations.clear();
-        self.receivers.clear();
-        self.senders.clear();
-        self.edges.clear();
-    }
-
-    /// Appends all graphs of the sequence `other`.
-    pub fn append(&mut self, other: &Graphs) {
-        let (sources, edges) = (self.source_start[self.len()], self.edge_start[self.len()]);
-        self.source_start.extend(other.source_start[1..].iter().map(|start| sources + start));
-        self.edge_start.extend(other.edge_start[1..].iter().map(|start| edges + start));
-        self.observations.extend_from_slice(&other.observations);
-        self.receivers.extend_from_slice(&other.receivers);
-        self.senders.extend_from_slice(&other.senders);
-        self.edges.extend_from_slice(&other.edges);
-    }
-
-    /// Adds a source, an observation from which a message is made, to the unfinished graph. Returns the source's number
-    /// within the graph, and its observation, zero until the caller writes it. The robots' own come first.
-    pub fn source(&mut self) -> (u16, &mut [f32]) {
-        let at = self.observations.len();
-        let first = self.source_start[self.source_start.len() - 1] as usize;
-        let index = u16::try_from(at / self.inputs - first).expect("a graph has few sources");
-        self.observations.resize(at + self.inputs, 0.0);
-        (index, &mut self.observations[at..])
-    }
-
-    /// Adds an edge to the unfinished graph: the robot with index `receiver` uses the message made from the source with
-    /// number `sender`. Returns the edge's features, zero until the caller writes them.
-    pub fn edge(&mut self, receiver: usize, sender: u16) -> &mut [f32] {
-        self.receivers.push(u16::try_from(receiver).expect("a graph has few robots"));
-        self.senders.push(sender);
-        let at = self.edges.len();
-        self.edges.resize(at + self.edge_inputs, 0.0);
-        &mut self.edges[at..]
-    }
-
-    /// Completes the unfinished graph.
-    ///
-    /// # Panics
-    /// If the graph has fewer sources than robots.
-    pub fn end(&mut self) {
-        let count = |len: usize| u32::try_from(len).expect("a rollout is far below 2^32 edges");
-        self.source_start.push(count(self.observations.len() / self.inputs));
-        self.edge_start.push(count(self.senders.len()));
-        let graph = self.len() - 1;
-        let own = self.source_start[graph + 1] - self.source_start[graph];
-        assert!(own as usize >= self.robots, "every robot has its own observation");
-    }
+pub struct Scan<T> {
+    /// Nodes in the order of their steps in their windows.
+    pub order: Vec<u32>,
+    /// Index of the first node of each step in `order`, and last the number of nodes.
+    pub start: Vec<u32>,
+    /// For each node, that of the same robot one step before; from the number of nodes on, rows of `state`.
+    pub before: Vec<u32>,
+    /// States before the first steps, \[rows, floats\]. The first row is zero: the state at the start of an episode.
+    pub state: Vec<T>,
 }
 
 /// Batch of graphs as input of a network: the observations (sources) from which messages are made, and the messages
 /// (edges) that robots use.
 #[derive(Clone, Debug, Default)]
 pub struct Batch<T> {
-    /// Number of robots in the batch, summed over all graphs.
+    /// Number of nodes with outputs; they come first.
+    pub outputs: usize,
+    /// Number of nodes: robots in all graphs.
     pub nodes: usize,
-    /// Observations of all sources, \[sources, inputs\], row-major. The robots' current observations come first.
+    /// Observations of all sources, \[sources, inputs\], row-major. Those of the nodes come first.
     pub x: Vec<T>,
-    /// Index of each robot's first edge in `sender`, and last the number of edges: one entry more than `nodes`.
+    /// Index of each node's first edge in `sender`, and last the number of edges: one entry more than `nodes`.
     pub first: Vec<u32>,
-    /// Row in `x` of each edge's source, the observation from which the message was made.
+    /// Source of each edge: a row of `x`, or from the number of sources on a row of `recorded`.
     pub sender: Vec<u32>,
     /// Edge features, \[edges, edge inputs\], row-major.
     pub e: Vec<T>,
+    /// Recorded inputs of each hop, of messages that were sent before the batch's windows, \[rows, floats\]. They are
+    /// constants.
+    pub recorded: Vec<Vec<T>>,
+    /// Order in which memories are computed; empty without memory.
+    pub scan: Scan<T>,
+    /// First node of each step of each window.
+    node_of: Vec<u32>,
+    /// Row of `recorded` for each message that was sent before a window, by window, steps before it and robot.
+    late: Vec<u32>,
+}
+
+/// Number of steps before a window from which its messages may be.
+const LATEST: usize = 256;
+
+/// Numbers of a batch that grow as it is gathered.
+struct Position {
+    /// Next node.
+    node: usize,
+    /// Next source that is not the observation of a node.
+    extra: usize,
 }
 
 impl<T: Real> Batch<T> {
@@ -125,44 +63,144 @@ impl<T: Real> Batch<T> {
         self.x.len() / inputs
     }
 
-    /// Replaces the content of the batch by the graphs `which`, each given by a sequence of graphs and an index in it.
-    pub fn gather<'a>(&mut self, which: impl Iterator<Item = (&'a Graphs, usize)> + Clone) {
+    /// Replaces the content of the batch by the graphs of these windows. Rows of nodes are in the order of the windows,
+    /// then of their steps, then of the robots; those with outputs come before the others.
+    pub fn gather<'a>(&mut self, windows: impl Iterator<Item = Window<'a>> + Clone) {
         self.x.clear();
         self.first.clear();
         self.sender.clear();
         self.e.clear();
+        self.node_of.clear();
+        self.late.clear();
+        self.recorded.iter_mut().for_each(Vec::clear);
         self.nodes = 0;
-        let span = |starts: &[u32], graph: usize| starts[graph] as usize..starts[graph + 1] as usize;
-        let floats = |range: Range<usize>, each: usize| range.start * each..range.end * each;
-        let numbers = |floats: &'a [f32]| floats.iter().map(|&float| T::of(float));
-        for (graphs, graph) in which.clone() {
-            let sources = span(&graphs.source_start, graph);
-            let own = sources.start..sources.start + graphs.robots;
-            self.x.extend(numbers(&graphs.observations[floats(own, graphs.inputs)]));
-            self.nodes += graphs.robots;
-        }
-        let (mut node, mut extra) = (0, self.nodes);
-        self.first.push(0);
-        for (graphs, graph) in which {
-            let robots = graphs.robots;
-            let sources = span(&graphs.source_start, graph);
-            let late = sources.start + robots..sources.end;
-            let edges = span(&graphs.edge_start, graph);
-            self.e.extend(numbers(&graphs.edges[floats(edges.clone(), graphs.edge_inputs)]));
-            let mut edge = edges.start;
-            for robot in 0..robots {
-                while edge < edges.end && usize::from(graphs.receivers[edge]) == robot {
-                    let sender = usize::from(graphs.senders[edge]);
-                    let at = if sender < robots { node + sender } else { extra + sender - robots };
-                    self.sender.push(at as u32);
-                    edge += 1;
+        self.node_of.resize(windows.clone().map(|window| window.steps).sum(), 0);
+        for outputs in [true, false] {
+            let mut at = 0;
+            for window in windows.clone() {
+                for step in (0..window.steps).filter(|step| window.has_outputs(*step) == outputs) {
+                    let graphs = window.graphs;
+                    let first = graphs.source_start[window.graph(step)] as usize;
+                    let own = first * graphs.inputs..(first + graphs.robots) * graphs.inputs;
+                    self.x.extend(graphs.observations[own].iter().map(|&float| T::of(float)));
+                    self.node_of[at + step] = self.nodes as u32;
+                    self.nodes += graphs.robots;
                 }
-                self.first.push(self.sender.len() as u32);
+                at += window.steps;
             }
-            assert_eq!(edge, edges.end, "edges are in the order of receivers");
-            node += robots;
-            extra += late.len();
-            self.x.extend(numbers(&graphs.observations[floats(late, graphs.inputs)]));
+            if outputs {
+                self.outputs = self.nodes;
+            }
+        }
+        self.first.push(0);
+        let mut position = Position { node: 0, extra: self.nodes };
+        for outputs in [true, false] {
+            let mut at = 0;
+            for (index, window) in windows.clone().enumerate() {
+                for step in (0..window.steps).filter(|step| window.has_outputs(*step) == outputs) {
+                    self.gather_edges((index, &window), (at, step), &mut position);
+                }
+                at += window.steps;
+            }
+        }
+        self.gather_scan(windows);
+    }
+
+    /// Adds the edges of one graph: that of the step `step` of a window, whose first entry in `node_of` is `at`.
+    fn gather_edges(&mut self, (index, window): (usize, &Window), (at, step): (usize, usize), next: &mut Position) {
+        let (graphs, graph, robots) = (window.graphs, window.graph(step), window.graphs.robots);
+        let edges = Graphs::span(&graphs.edge_start, graph);
+        let features = edges.start * graphs.edge_inputs..edges.end * graphs.edge_inputs;
+        self.e.extend(graphs.edges[features].iter().map(|&float| T::of(float)));
+        let mut edge = edges.start;
+        for robot in 0..robots {
+            while edge < edges.end && usize::from(graphs.receivers[edge]) == robot {
+                let sender = usize::from(graphs.senders[edge]);
+                let row = match &graphs.latents {
+                    None if sender < robots => next.node + sender,
+                    None => next.extra + sender - robots,
+                    Some(latents) => match step.checked_sub(latents.ages[edge].into()) {
+                        Some(sent) => self.node_of[at + sent] as usize + sender,
+                        None => self.recorded_row((index, window), usize::from(latents.ages[edge]) - step, sender),
+                    },
+                };
+                self.sender.push(row as u32);
+                edge += 1;
+            }
+            self.first.push(self.sender.len() as u32);
+        }
+        assert_eq!(edge, edges.end, "edges are in the order of receivers");
+        next.node += robots;
+        if graphs.latents.is_none() {
+            let sources = Graphs::span(&graphs.source_start, graph);
+            let late = (sources.start + robots) * graphs.inputs..sources.end * graphs.inputs;
+            next.extra += late.len() / graphs.inputs;
+            self.x.extend(graphs.observations[late].iter().map(|&float| T::of(float)));
+        }
+    }
+
+    /// Returns the row, among those of nodes and recorded inputs, of the message that a robot sent `before` steps
+    /// before the first of a window.
+    fn recorded_row(&mut self, (index, window): (usize, &Window), before: usize, robot: usize) -> usize {
+        let graphs = window.graphs;
+        let latents = graphs.latents.as_ref().expect("only recurrent networks have late messages of their own");
+        let at = (index * LATEST + before) * graphs.robots + robot;
+        if self.late.len() <= at {
+            self.late.resize(at + 1, u32::MAX);
+        }
+        if self.late[at] == u32::MAX {
+            self.recorded.resize_with(latents.widths.len(), Vec::new);
+            self.late[at] = (self.recorded[0].len() / latents.widths[0]) as u32;
+            let mut rest = latents.of(graphs.robots, window.first, before, robot);
+            for (recorded, width) in self.recorded.iter_mut().zip(&latents.widths) {
+                let (input, after) = rest.split_at(*width);
+                recorded.extend(input.iter().map(|&float| T::of(float)));
+                rest = after;
+            }
+        }
+        self.nodes + self.late[at] as usize
+    }
+
+    /// Makes the order in which the memories of the nodes are computed.
+    fn gather_scan<'a>(&mut self, windows: impl Iterator<Item = Window<'a>> + Clone) {
+        let Scan { order, start, before, state } = &mut self.scan;
+        order.clear();
+        start.clear();
+        state.clear();
+        let memory = |window: &Window| window.graphs.latents.as_ref().is_some_and(|latents| latents.memory);
+        if !windows.clone().any(|window| memory(&window)) {
+            return;
+        }
+        before.clear();
+        before.resize(self.nodes, 0);
+        start.push(0);
+        let steps = windows.clone().map(|window| window.steps).max().unwrap_or(0);
+        for step in 0..steps {
+            let mut at = 0;
+            for window in windows.clone() {
+                let graphs = window.graphs;
+                let latents = graphs.latents.as_ref().expect("all graphs of a batch are of one network");
+                let floats = latents.widths[0];
+                if state.is_empty() {
+                    state.resize(floats, T::zero());
+                }
+                for robot in (0..graphs.robots).filter(|_| step < window.steps) {
+                    let node = self.node_of[at + step] as usize + robot;
+                    order.push(node as u32);
+                    before[node] = if latents.begins[window.graph(step) * graphs.robots + robot] {
+                        self.nodes as u32
+                    } else if step > 0 {
+                        self.node_of[at + step - 1] + robot as u32
+                    } else {
+                        let row = state.len() / floats;
+                        let last = &latents.of(graphs.robots, window.first, 1, robot)[..floats];
+                        state.extend(last.iter().map(|&float| T::of(float)));
+                        (self.nodes + row) as u32
+                    };
+                }
+                at += window.steps;
+            }
+            start.push(order.len() as u32);
         }
     }
 }

@@ -3,11 +3,11 @@
 use serde::{Deserialize, Serialize};
 
 use super::adam::Adam;
-use super::network::{Shape, TrainableGnn};
+use super::learner::Learner;
+use super::network::{Network, Shape};
 use super::rollout::CHUNK;
 use super::snapshot::Snapshot;
 use super::trainer::{Plan, SetupError, Trainer};
-use super::update::Learner;
 use murmurate::config::kinds::FileKind;
 use murmurate::registry::Registry;
 
@@ -24,6 +24,9 @@ struct State {
     actor: (Vec<f32>, Adam),
     critic: (Vec<f32>, Adam),
     chunks: Vec<Snapshot>,
+    /// Latents of the last steps of each chunk's robots, for a recurrent policy.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    latents: Vec<Vec<f32>>,
     stage: usize,
     iteration: u64,
     decisions: u64,
@@ -44,6 +47,10 @@ impl Trainer {
             actor: of(&self.actor),
             critic: of(&self.critic),
             chunks: self.chunks.iter().map(|chunk| chunk.environments.snapshot()).collect(),
+            latents: match self.actor.network.is_recurrent() {
+                true => self.chunks.iter().map(|chunk| chunk.record.actor.last_latents().to_vec()).collect(),
+                false => Vec::new(),
+            },
             stage: self.stage,
             iteration: self.iteration,
             decisions: self.decisions,
@@ -92,8 +99,7 @@ impl Trainer {
         // Before anything is made of the configuration, which could ask for any amount of memory.
         let (config, team) = (&state.plan.config, state.plan.config.robots);
         let weights = [(config.actor(), &state.actor), (config.critic(), &state.critic)];
-        if weights.into_iter().any(|(shape, (parameters, _))| TrainableGnn::new(shape).parameters() != parameters.len())
-        {
+        if weights.into_iter().any(|(shape, (parameters, _))| Network::new(shape).parameters() != parameters.len()) {
             return Err(broken("weights"));
         }
         let robots: usize = state.chunks.iter().map(|chunk| chunk.position.len()).sum();
@@ -123,6 +129,12 @@ impl Trainer {
             if !chunk.environments.restore(snapshot) {
                 return Err(broken("environments"));
             }
+        }
+        let expected = if trainer.actor.network.is_recurrent() { trainer.chunks.len() } else { 0 };
+        let fits = state.latents.len() == expected;
+        let mut latents = trainer.chunks.iter_mut().zip(state.latents);
+        if !fits || !latents.all(|(chunk, latents)| chunk.record.actor.restore_latents(latents)) {
+            return Err(broken("latents"));
         }
         (trainer.iteration, trainer.decisions) = (state.iteration, state.decisions);
         (trainer.env_steps, trainer.progress, trainer.rate_factor) =

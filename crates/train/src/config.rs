@@ -8,12 +8,15 @@ use serde::{Deserialize, Serialize};
 
 use super::channels::Channels;
 use super::network::Shape;
+use super::observe::PRIVILEGED;
+pub use super::policy::Policy;
 pub use super::weights::Reward;
 use murmurate::chassis::{self, Chassis};
 use murmurate::config::{self, ConfigError};
-use murmurate::policy::Draw;
-use murmurate::policy::hops::entry::{self, Entry};
-use murmurate::policy::manifest::{Activation, Aggregation, Architecture, EdgeField, Manifest};
+use murmurate::policy::file::AnyManifest;
+use murmurate::policy::hops::action::Action;
+use murmurate::policy::hops::entry;
+use murmurate::policy::manifest::Architecture;
 use murmurate::scenario::{Scenario, Settings};
 use murmurate::senses;
 
@@ -65,33 +68,6 @@ pub struct Config {
     pub curriculum: Vec<CurriculumStage>,
 }
 
-/// Network of the policy, and the parameters written to the policy's manifest.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Policy {
-    /// Layout of the message-passing network.
-    pub architecture: Architecture,
-    /// Entries of a robot's observation, in the order of the network's inputs.
-    pub observation: Vec<Entry>,
-    /// Features of an edge, in the order of the network's inputs.
-    #[serde(default)]
-    pub edge: Vec<EdgeField>,
-    /// Widths of the encoder's layers. The last width is that of the latent that a robot broadcasts.
-    pub encoder: Vec<usize>,
-    /// Widths of the layers of the policy's message network.
-    pub message: Vec<usize>,
-    /// Widths of the layers of the policy's update network, without the output layer.
-    pub update: Vec<usize>,
-    /// Largest distance between two robots that receive each other's messages \[m\].
-    pub radius_m: f32,
-    /// Largest commanded velocity along each axis \[m/s\].
-    pub limit_m_s: f32,
-    /// Age, counted from its arrival, up to which a deployed robot uses a message \[s\].
-    pub hold_s: f64,
-    /// Method by which a deployed robot takes an action from the policy's distribution: its mean, or a random sample.
-    pub draw: Draw,
-}
-
 /// Layer widths of the critic's network, which estimates values during the training only. It observes the whole team,
 /// so it may be smaller than the policy's network.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -116,6 +92,13 @@ pub struct Ppo {
     pub decisions: usize,
     /// Number of decisions from which one step of the optimiser is computed.
     pub minibatch: usize,
+    /// Number of successive decisions of an environment that are learnt together, for a policy with memory or several
+    /// hops; 8 if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub window: Option<usize>,
+    /// Number of decisions before a window from which memory and messages are computed anew; 1 if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lookback: Option<usize>,
     /// Largest number of passes over a rollout in one update.
     pub epochs: usize,
     /// KL divergence from the policy before the update at which the update stops early; may be infinite.
@@ -250,27 +233,14 @@ impl Config {
     }
 
     /// Returns the manifest of a policy trained with this configuration for the scenario named `scenario`, without the
-    /// data of the training and the hash of the weights.
-    pub fn manifest(&self, scenario: &str) -> Manifest {
-        let policy = &self.policy;
-        let shape = self.actor();
-        Manifest {
-            scenario: scenario.to_owned(),
-            architecture: policy.architecture,
-            observation: policy.observation.iter().filter_map(Entry::field).collect(),
-            edge: policy.edge.clone(),
-            activation: Some(Activation::Relu),
-            aggregation: Some(Aggregation::Sum),
-            encoder: shape.encoder,
-            message: shape.message,
-            update: shape.update,
-            draw: policy.draw,
-            radius_m: policy.radius_m,
-            limit_m_s: policy.limit_m_s,
-            hold_s: policy.hold_s,
-            log_std_max: Some(self.ppo.log_std_max[1]),
-            ..Manifest::published()
-        }
+    /// data of the training and the hash of the weights. `log_std_max` is the upper limit of the log standard
+    /// deviations.
+    ///
+    /// # Panics
+    /// If the policy cannot have its fields together, which `check` excludes.
+    pub fn manifest(&self, scenario: &str, log_std_max: f32) -> AnyManifest {
+        let manifest = self.policy.manifest(scenario, Action::Velocity, Some(log_std_max));
+        manifest.unwrap_or_else(|why| panic!("a checked configuration has a policy: {why}"))
     }
 
     /// Returns the chassis (kind of drive and limits) of the robots.
@@ -281,53 +251,41 @@ impl Config {
         self.body.chassis().expect("a checked configuration has a sound chassis")
     }
 
-    /// Returns the channels among the entries of the policy's observation, joined with those of `scenarios` and with the
-    /// senses; `None` if there are none. An error names the wrong setting of a sense, or the channel that a scenario
-    /// has not.
+    /// Returns the channels among the entries of the policy's observation, joined with those of `scenarios` and with
+    /// the senses; `None` if there are none. An error names the wrong setting of a sense, or the channel that a
+    /// scenario has not.
     pub fn channels(&self, scenarios: &[Arc<dyn Scenario>]) -> Result<Option<Channels>, ConfigError> {
         Channels::new(&self.policy.observation, &self.senses, scenarios)
     }
 
-    /// Returns the layer widths of the policy's network.
+    /// Returns the shape of the policy's network.
+    ///
+    /// # Panics
+    /// If a width is wrong, which `check` excludes.
     pub fn actor(&self) -> Shape {
-        let policy = &self.policy;
-        let edge = policy.edge.iter().map(|field| field.floats()).sum();
-        let widths = [&policy.encoder, &policy.message, &policy.update];
-        shape(policy.architecture, entry::floats(&policy.observation), edge, widths, 4)
+        let shape = Shape::of_manifest(&self.manifest("any", self.ppo.log_std_max[1]));
+        shape.unwrap_or_else(|why| panic!("a checked configuration has a network: {why}"))
     }
 
-    /// Returns the layer widths of the critic's network, which observes all robots of a team and privileged information
-    /// about each.
+    /// Returns the shape of the critic's network, which observes all robots of a team and privileged information about
+    /// each: one hop in the architecture `full`.
     pub fn critic(&self) -> Shape {
         let policy = &self.policy;
-        let widths = match &self.critic {
+        let [encoder, message, update] = match &self.critic {
             Some(critic) => [&critic.encoder, &critic.message, &critic.update],
             None => [&policy.encoder, &policy.message, &policy.update],
         };
-        let inputs = entry::floats(&policy.observation) + super::observe::PRIVILEGED;
-        shape(Architecture::Full, inputs, 2, widths, 1)
+        let last = |widths: &[usize]| widths.last().copied().unwrap_or(0);
+        let (inputs, hidden) = (entry::floats(&policy.observation) + PRIVILEGED, last(encoder));
+        let message_widths = [&[2 * hidden + CRITIC_EDGE], &message[..]].concat();
+        let update_widths = [&[hidden + last(message)], &update[..], &[1]].concat();
+        let encoder_widths = [&[inputs], &encoder[..]].concat();
+        Shape::one_hop(Architecture::Full, [encoder_widths, message_widths, update_widths], CRITIC_EDGE)
     }
 }
 
-/// Returns the layer widths of a network from those of its hidden layers.
-fn shape(
-    architecture: Architecture,
-    inputs: usize,
-    edge: usize,
-    [encoder, message, update]: [&Vec<usize>; 3],
-    outputs: usize,
-) -> Shape {
-    let widths = |input: usize, rest: &[usize]| [&[input], rest].concat();
-    let last = |widths: &[usize]| widths.last().copied().unwrap_or(0);
-    let (hidden, messages) = (last(encoder), last(message));
-    let (message_inputs, update_inputs) = match architecture {
-        Architecture::Published => (hidden, messages),
-        // Of a configuration that is not checked yet: a width that does not fit is refused as too large.
-        Architecture::Full => (hidden.saturating_mul(2).saturating_add(edge), hidden.saturating_add(messages)),
-    };
-    let update = [&widths(update_inputs, update)[..], &[outputs]].concat();
-    Shape { architecture, encoder: widths(inputs, encoder), message: widths(message_inputs, message), update, edge }
-}
+/// Number of edge features of the critic: a relative position.
+const CRITIC_EDGE: usize = 2;
 
 #[cfg(test)]
 mod tests {

@@ -1,8 +1,9 @@
-//! Training: proximal policy optimisation over many teams at once. Dynamics and rewards are those of a run, with delay,
-//! loss, asynchrony and lag from the start.
+//! Training: proximal policy optimisation over many teams at once, and imitation of experts. Dynamics and rewards are
+//! those of a run, with delay, loss, asynchrony and lag from the start.
 //!
-//! The code uses no clock, file or actor. `trainer` is the entry point. Its caller passes in the progress, writes the
-//! files, and decides when to stop.
+//! Both objectives train one kind of `network`, over batches of recorded `graphs`, by the same `learner`. The code uses
+//! no clock, file or actor. `trainer` is the entry point, and `imitation::trainer` that of imitation. Their caller
+//! passes in the progress, writes the files, and decides when to stop.
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
@@ -16,8 +17,9 @@ pub mod environments;
 pub mod evaluate;
 pub mod expectation;
 mod filters;
-mod gradient;
+pub mod graphs;
 pub mod imitation;
+pub mod learner;
 mod limits;
 pub mod loss;
 pub mod matrix;
@@ -25,12 +27,14 @@ pub mod message_buffer;
 pub mod network;
 pub mod observe;
 pub mod parallel;
+pub mod policy;
 pub mod record;
 pub mod reward;
 mod rolling;
 pub mod rollout;
 mod scale;
 mod sensing;
+mod settings;
 pub mod snapshot;
 mod task;
 pub mod trainer;

@@ -1,7 +1,9 @@
 //! Validation of a training's configuration: the permitted values of its fields.
 
 use super::config::{Conditions, Config, Critic, Ppo};
+use super::network::Shape;
 use murmurate::config::{ConfigError, in_range};
+use murmurate::policy::hops::action::Action;
 
 impl Config {
     /// Checks the values of all fields of the configuration. The error names the first wrong one.
@@ -17,6 +19,12 @@ impl Config {
 
     fn check_networks(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
+        let named = |text: String| match text.split_once(": ") {
+            Some((field, reason)) => ConfigError::field(format!("policy.{field}"), reason.to_owned()),
+            None => ConfigError::field("policy", text),
+        };
+        in_range("policy.rate_hz", self.policy.rate_hz, (20.0, 20.0))?;
+        in_range("policy.hops", self.policy.hops as f64, (1.0, 8.0))?;
         if self.policy.message.len() < 2 {
             return wrong("policy.message", "training needs a message network of two or more layers".to_owned());
         }
@@ -34,10 +42,16 @@ impl Config {
                 }
             }
         }
-        self.manifest("any").check().map_err(|text| match text.split_once(": ") {
-            Some((field, reason)) => ConfigError::field(format!("policy.{field}"), reason.to_owned()),
-            None => ConfigError::field("policy", text),
-        })
+        let manifest = self.policy.manifest("any", Action::Velocity, Some(self.ppo.log_std_max[1])).map_err(named)?;
+        let shape = Shape::of_manifest(&manifest).map_err(named)?;
+        let recurrent = shape.memory.is_some() || shape.hops.len() > 1;
+        let Ppo { window, lookback, .. } = self.ppo;
+        if !recurrent && (window.is_some() || lookback.is_some()) {
+            let why = "only policies with memory or several hops are learnt by windows; leave it out";
+            return wrong(if window.is_some() { "ppo.window" } else { "ppo.lookback" }, why.to_owned());
+        }
+        in_range("ppo.window", window.unwrap_or(1) as f64, (1.0, 1024.0))?;
+        in_range("ppo.lookback", lookback.unwrap_or(0) as f64, (0.0, 64.0))
     }
 
     fn check_curriculum(&self) -> Result<(), ConfigError> {

@@ -1,6 +1,6 @@
 //! Rollout data of a chunk of teams between two updates, with values and advantages.
 
-use super::batch::Graphs;
+use super::graphs::{Graphs, Window};
 
 /// Half of the natural logarithm of 2 pi, a term of the normal density's logarithm.
 pub const HALF_LOG_TWO_PI: f32 = 0.918_938_5;
@@ -21,7 +21,11 @@ pub enum EpisodeState {
 /// per action are ordered by decision, then by row, then by robot.
 #[derive(Debug, Default)]
 pub struct Experience {
-    /// Observations of the policy, one graph per row and decision.
+    /// Number of rows (environments).
+    pub rows: usize,
+    /// Number of the policy's graphs per row and decision: one for each step of a recurrent policy, otherwise one.
+    pub steps: usize,
+    /// Observations of the policy, by decision, then by step of the decision, then by row.
     pub actor: Graphs,
     /// Observations of the critic: those of the decisions, then each row's state after the last decision, then the last
     /// states of truncated episodes.
@@ -80,6 +84,36 @@ impl Experience {
         self.reward.clear();
         self.state.clear();
         self.ended = EpisodeTotals::default();
+    }
+
+    /// Returns the number of windows of `length` successive decisions of a row. The last ones may be shorter.
+    pub fn windows(&self, length: usize) -> usize {
+        self.rows * self.decisions().div_ceil(length)
+    }
+
+    /// Returns the number of decisions of a row.
+    fn decisions(&self) -> usize {
+        self.actor.len() / (self.rows * self.steps)
+    }
+
+    /// Returns the decisions of a window of `length` decisions, each by its place among those of all rows: that of its
+    /// graph in `critic`.
+    pub fn decisions_of(&self, window: usize, length: usize) -> impl Iterator<Item = usize> + Clone + use<> {
+        let (row, rows, begin) = (window % self.rows, self.rows, window / self.rows * length);
+        (begin..(begin + length).min(self.decisions())).map(move |decision| decision * rows + row)
+    }
+
+    /// Returns the policy's graphs of a window of `length` decisions, and of up to `lookback` decisions before it.
+    pub fn window(&self, window: usize, (length, lookback): (usize, usize)) -> Window<'_> {
+        let (row, begin) = (window % self.rows, window / self.rows * length);
+        let (first, last) = (begin.saturating_sub(lookback), (begin + length).min(self.decisions()) - 1);
+        Window {
+            graphs: &self.actor,
+            first: first * self.steps * self.rows + row,
+            steps: (last - first) * self.steps + 1,
+            lookback: (begin - first) * self.steps,
+            every: self.steps,
+        }
     }
 
     /// Computes each robot's generalised advantage estimates (Schulman et al., arXiv 1506.02438, equation 16), and the

@@ -5,42 +5,22 @@
 
 use std::sync::Arc;
 
-use super::batch::{Batch, Graphs};
+use super::batch::Batch;
 use super::channels::Channels;
-use super::config::{Config, Reward};
+use super::config::Config;
 use super::environments::{Environments, TrainingTeam};
+use super::graphs::{Graphs, Window};
 use super::message_buffer::HISTORY_STEPS;
-use super::network::{Space, TrainableGnn};
+use super::network::Space;
 use super::observe::{PRIVILEGED, Privileged};
 use super::record::{EpisodeState, EpisodeTotals, Experience, HALF_LOG_TWO_PI};
+pub use super::settings::{CHUNK, RolloutSettings};
 use murmurate::messages::geometry::{Planar, Vec2};
 use murmurate::policy::Draw;
-use murmurate::policy::manifest::EdgeField;
+use murmurate::policy::hops::manifest::EdgeFeature;
 use murmurate::random;
 use murmurate::random::Stream;
 use murmurate::scenario::Scenario;
-
-/// Largest number of rows (environments) in a chunk, which one thread steps together. The network evaluates all rows of
-/// a chunk at once, and their activations fit into a processor core's private cache.
-pub const CHUNK: usize = 32;
-
-/// Settings of a rollout that are the same for all chunks. A chunk is a group of environments that one thread steps
-/// together.
-#[derive(Debug)]
-pub struct RolloutSettings<'a> {
-    /// Configuration of the training.
-    pub config: &'a Config,
-    /// Layout of the policy's network; its weights are passed separately.
-    pub actor: &'a TrainableGnn,
-    /// Layout of the critic's network; its weights are passed separately.
-    pub critic: &'a TrainableGnn,
-    /// Weights of the terms of a robot's reward in the current stage of the curriculum.
-    pub reward: Reward,
-    /// Number of simulated steps of 50 ms for which an action is held.
-    pub repeat: u32,
-    /// Upper limit of the actions' log standard deviation.
-    pub log_std_max: f32,
-}
 
 /// Rows of teams that are simulated together, with their rollout data. A row has the robots of one environment.
 #[derive(Debug)]
@@ -59,6 +39,8 @@ pub struct Chunk {
     velocities: Vec<Vec2>,
     /// Rewards of all robots for the current decision.
     rewards: Vec<f32>,
+    /// Discount of each team's next reward for the current decision.
+    discounts: Vec<f32>,
     /// Source in the unfinished graph for each sender and past step; `None` if there is none yet.
     sources: Vec<Option<u16>>,
 }
@@ -78,14 +60,22 @@ impl Chunk {
         let environments = environments.observing(&policy.observation, channels);
         let robots = environments.position.len() / rows;
         let (actor, critic) = (settings.actor, settings.critic);
+        let mut graphs = Graphs::new(robots, actor.inputs(), actor.shape().edge);
+        if actor.is_recurrent() {
+            let memory = actor.shape().memory.is_some();
+            graphs = graphs.recurrent(rows, actor.hop_inputs(), memory, HISTORY_STEPS);
+        }
         let record = Experience {
-            actor: Graphs::new(robots, actor.inputs(), actor.shape().edge),
+            rows,
+            steps: settings.policy_steps() as usize,
+            actor: graphs,
             critic: Graphs::new(robots, critic.inputs(), critic.shape().edge),
             ..Experience::default()
         };
         Chunk {
             velocities: vec![Vec2::zeros(); rows * robots],
             rewards: vec![0.0; rows * robots],
+            discounts: Vec::new(),
             environments,
             rows,
             robots,
@@ -114,30 +104,14 @@ impl Chunk {
     ) {
         self.record.clear();
         let mut truncated = Graphs::new(self.robots, settings.critic.inputs(), settings.critic.shape().edge);
-        let gamma = settings.config.ppo.gamma;
-        for decision in 0..decisions {
-            for team in 0..self.environments.teams.len() {
-                self.observe(settings, team, stream);
-            }
+        for _ in 0..decisions {
+            self.observe(settings, stream);
             for row in 0..self.rows {
                 self.observe_critic(settings, row, None);
             }
-            self.decide(settings, actor, decision * self.rows..(decision + 1) * self.rows);
+            self.evaluate(settings, actor, true);
             self.draw(settings, stream);
-            self.rewards.fill(0.0);
-            for team in 0..self.environments.teams.len() {
-                let mut discount = 1.0;
-                for _ in 0..settings.repeat {
-                    self.step(settings, team, stream);
-                    for robot in self.environments.teams[team].range() {
-                        self.rewards[robot] += discount * self.environments.reward[robot];
-                    }
-                    discount *= gamma;
-                    if self.environments.all_arrived(team) {
-                        break;
-                    }
-                }
-            }
+            self.act(settings, actor, stream);
             self.record.reward.extend_from_slice(&self.rewards);
             self.end_episodes(settings, &mut truncated, stream);
         }
@@ -153,10 +127,8 @@ impl Chunk {
     /// the policy's network, and `draw` is the method of drawing actions.
     pub fn decide_unrecorded(&mut self, settings: &RolloutSettings, actor: &[f32], draw: Draw, stream: &mut Stream) {
         self.record.clear();
-        for team in 0..self.environments.teams.len() {
-            self.observe(settings, team, stream);
-        }
-        self.decide(settings, actor, 0..self.rows);
+        self.observe(settings, stream);
+        self.evaluate(settings, actor, true);
         match draw {
             Draw::Sample => self.draw(settings, stream),
             Draw::Mean => {
@@ -168,16 +140,51 @@ impl Chunk {
         }
     }
 
+    /// Performs the actions of the last decision, and sums up their rewards.
+    fn act(&mut self, settings: &RolloutSettings, actor: &[f32], stream: &mut Stream) {
+        let (steps, gamma) = (settings.policy_steps(), settings.config.ppo.gamma);
+        self.rewards.fill(0.0);
+        self.discounts.clear();
+        self.discounts.resize(self.environments.teams.len(), 1.0);
+        for policy_step in 0..steps {
+            if policy_step > 0 {
+                self.observe(settings, stream);
+                self.evaluate(settings, actor, false);
+            }
+            for team in 0..self.environments.teams.len() {
+                for _ in 0..settings.repeat / steps {
+                    if policy_step > 0 && self.environments.all_arrived(team) {
+                        break;
+                    }
+                    self.step(settings, team, stream);
+                    for robot in self.environments.teams[team].range() {
+                        self.rewards[robot] += self.discounts[team] * self.environments.reward[robot];
+                    }
+                    self.discounts[team] *= gamma;
+                    if self.environments.all_arrived(team) {
+                        break;
+                    }
+                }
+            }
+        }
+    }
+
     /// Advances the team with index `team` by one step of 50 ms, with the actions of its last decision.
     pub fn step(&mut self, settings: &RolloutSettings, team: usize, stream: &mut Stream) {
         let limit = settings.config.policy.limit_m_s;
         self.environments.step(team, &self.velocities, &settings.reward, limit, stream);
     }
 
+    /// Adds the observations and edges of all teams to the policy's graphs, one for each row.
+    fn observe(&mut self, settings: &RolloutSettings, stream: &mut Stream) {
+        (0..self.environments.teams.len()).for_each(|team| self.observe_team(settings, team, stream));
+    }
+
     /// Adds a team's observations and edges to the policy's graph of the team's row. Must be called for all teams in
     /// order: the first team of a row begins the graph, and the last one completes it.
-    fn observe(&mut self, settings: &RolloutSettings, team: usize, stream: &mut Stream) {
+    fn observe_team(&mut self, settings: &RolloutSettings, team: usize, stream: &mut Stream) {
         let Chunk { environments, record, robots, .. } = self;
+        let recurrent = settings.actor.is_recurrent();
         let (range, step) = (environments.teams[team].range(), environments.teams[team].step);
         if range.start.is_multiple_of(*robots) {
             // The current observations of all robots of a row are its first sources.
@@ -193,6 +200,9 @@ impl Chunk {
                 let (_, to) = record.actor.source();
                 let TrainingTeam { first, step, messages, .. } = &environments.teams[at];
                 environments.observation(at, messages, (*step, robot - first), to);
+                if recurrent {
+                    record.actor.begins(*step == 0);
+                }
             }
         }
         let offset = range.start % *robots;
@@ -205,7 +215,7 @@ impl Chunk {
             let reach = (episode, settings.config.policy.radius_m);
             messages.receive(reach, (step, 0), receiver, stream, |messages, message| {
                 let sent = messages.estimate(message.step, message.sender);
-                let source = if message.step == step {
+                let source = if message.step == step || recurrent {
                     (offset + message.sender) as u16
                 } else {
                     let at = message.sender * HISTORY_STEPS + message.step as usize % HISTORY_STEPS;
@@ -218,12 +228,20 @@ impl Chunk {
                 let own = messages.estimate(step, receiver);
                 let frame = environments.scenario(team).frame(&tasks[range.start + receiver]);
                 let relative = frame.turn(sent.position - own.position);
-                let mut to = graphs.edge(offset + receiver, source);
+                let receiver = offset + receiver;
+                let mut to = match recurrent {
+                    true => graphs.edge_of_age(receiver, source, (step - message.step) as u8),
+                    false => graphs.edge(receiver, source),
+                };
                 for field in &settings.config.policy.edge {
                     let (entry, rest) = to.split_at_mut(field.floats());
                     match field {
-                        EdgeField::Age => entry[0] = message.age_s,
-                        EdgeField::RelativePosition => entry.copy_from_slice(&relative.to_array()),
+                        EdgeFeature::Age => entry[0] = message.age_s,
+                        EdgeFeature::RelativePosition => entry.copy_from_slice(&relative.to_array()),
+                        EdgeFeature::Distance => entry[0] = relative.norm(),
+                        EdgeFeature::RelativeVelocity => {
+                            entry.copy_from_slice(&frame.turn(sent.velocity - own.velocity).to_array());
+                        }
                     }
                     to = rest;
                 }
@@ -275,10 +293,17 @@ impl Chunk {
         graphs.end();
     }
 
-    /// Runs the policy's network on the graphs of the record with these indices.
-    fn decide(&mut self, settings: &RolloutSettings, actor: &[f32], graphs: std::ops::Range<usize>) {
-        self.batch.gather(graphs.map(|graph| (&self.record.actor, graph)));
+    /// Runs the policy's network on the last graph of each row; up to its outputs if these are needed, otherwise up to
+    /// what robots send.
+    fn evaluate(&mut self, settings: &RolloutSettings, actor: &[f32], outputs: bool) {
+        let graphs = &mut self.record.actor;
+        let last = graphs.len() - self.rows..graphs.len();
+        let window = |graph| Window { lookback: usize::from(!outputs), ..graphs.window(graph, 1) };
+        self.batch.gather(last.map(window));
         settings.actor.forward(actor, &self.batch, &mut self.space);
+        if settings.actor.is_recurrent() {
+            graphs.store_latents(self.rows * self.robots, |hop| self.space.hop_inputs(hop));
+        }
     }
 
     /// Samples and records every robot's action, then transforms the actions to the world frame.
@@ -348,7 +373,7 @@ impl Chunk {
         let graphs = self.record.critic.len();
         for from in (0..graphs).step_by(CHUNK) {
             let chunk = from..graphs.min(from + CHUNK);
-            self.batch.gather(chunk.map(|graph| (&self.record.critic, graph)));
+            self.batch.gather(chunk.map(|graph| self.record.critic.window(graph, 1)));
             settings.critic.forward(critic, &self.batch, &mut self.space);
             self.record.value.extend_from_slice(self.space.outputs());
         }

@@ -1,8 +1,8 @@
 //! Observations of the robots of training environments: fields of the robots' states, and channels and senses for
 //! policies that take them.
 //!
-//! An observation of fields follows from an estimate, so it is made when it is asked for. One with channels is made when
-//! the robot measures its state, and stored: a message is encoded from the observation that its sender had then.
+//! An observation of fields follows from an estimate, so it is made when it is asked for. One with channels is made
+//! when the robot measures its state, and stored: a message is encoded from the observation that its sender had then.
 
 use super::channels::{Channels, Observing, Place};
 use super::environments::{Environments, TrainingTeam};
@@ -70,8 +70,8 @@ impl Environments {
         }
     }
 
-    /// Writes the observation of the robot with index `robot` among all robots that follows from the true state, without
-    /// any noise, into `to`. Its team has the index `team`.
+    /// Writes the observation of the robot with index `robot` among all robots that follows from the true state,
+    /// without any noise, into `to`. Its team has the index `team`.
     pub fn true_observation(&mut self, team: usize, robot: usize, to: &mut [f32]) {
         let truth = self.point(robot);
         if self.observing.channels.is_none() {
@@ -101,8 +101,8 @@ impl Environments {
         }
     }
 
-    /// Returns the observation of a robot with the motion `estimate`, world frame, and changes what its channels remember
-    /// of it. Noise of senses is drawn from
+    /// Returns the observation of a robot with the motion `estimate`, world frame, and changes what its channels
+    /// remember of it. Noise of senses is drawn from
     /// `stream`; without it there is none.
     fn seen(
         &self,

@@ -5,17 +5,17 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::adam::Adam;
 use super::config::Config;
-use super::network::TrainableGnn;
+use super::learner::{Initial, Learner};
+use super::network::Network;
 use super::parallel::in_parallel;
+use super::policy;
 use super::record::EpisodeTotals;
 use super::reward::has_reward;
 use super::rollout::{CHUNK, Chunk, RolloutSettings};
-use super::update::{Learner, Outcome, Workspace, initial, update};
+use super::update::{Outcome, Workspace, update};
 use murmurate::config::ConfigError;
 use murmurate::policy::manifest::Training;
-use murmurate::policy::weights;
 use murmurate::random::Seed;
 use murmurate::registry::Registry;
 use murmurate::scenario::{Scenario, ScenarioError};
@@ -191,11 +191,10 @@ impl Trainer {
             return Err(SetupError::NoGoals { scenario: plan.scenario });
         }
         let seed = Seed::of_run(plan.seed);
-        let (actor, critic) = (TrainableGnn::new(plan.config.actor()), TrainableGnn::new(plan.config.critic()));
+        let (actor, critic) = (Network::new(plan.config.actor()), Network::new(plan.config.critic()));
         let log_std = plan.config.ppo.log_std;
-        let learner = |network: TrainableGnn, name: &str, bias: &[f32]| {
-            let parameters = initial(&network, seed.child(name), bias);
-            Learner { adam: Adam::new(parameters.len()), parameters, network }
+        let learner = |network: Network, name: &str, bias: &[f32]| {
+            Learner::new(network, Initial::Normal(bias), &mut seed.child(name).stream("train/initial"))
         };
         let mut trainer = Trainer {
             actor: learner(actor, "actor", &[0.0, 0.0, log_std, log_std]),
@@ -391,27 +390,19 @@ impl Trainer {
         self.progress
     }
 
-    /// Returns the bytes of a policy file of format 1 with the current weights of the policy.
+    /// Returns the bytes of a policy file with the current weights of the policy.
     pub fn policy_file(&self) -> Vec<u8> {
         let config = &self.plan.config;
-        let mut manifest = config.manifest(self.scenario.name());
-        manifest.log_std_max = Some(self.settings().log_std_max);
-        manifest.training = Some(Training {
+        let training = Training {
             program: format!("murmurate {}", env!("CARGO_PKG_VERSION")),
             preset: self.plan.preset.clone(),
             seed: self.plan.seed,
             decisions: self.decisions,
             env_steps: self.env_steps,
             configuration: serde_json::to_value(config).expect("a configuration is JSON"),
-        });
-        let parameters = &self.actor.parameters;
-        let tensors = self.actor.network.layers().map(|layers| {
-            let layer = |(_, weight, bias, end): (usize, usize, usize, usize)| {
-                (parameters[weight..bias].to_vec(), parameters[bias..end].to_vec())
-            };
-            layers.into_iter().map(layer).collect::<Vec<_>>()
-        });
-        weights::write(&manifest, &tensors)
+        };
+        let manifest = config.manifest(self.scenario.name(), self.settings().log_std_max);
+        policy::file(manifest, training, self.actor.network.tensors(&self.actor.parameters))
     }
 }
 

@@ -1,35 +1,18 @@
 //! Update of policy and critic from the data of a rollout: epochs of minibatches with clipped gradients, and an early
 //! stop at a limit of the KL divergence.
 //!
-//! A minibatch is split into a fixed number of shards, each with its own gradient. The gradients are added in the order
-//! of the shards, so the sum does not depend on the number of threads.
+//! A minibatch is of windows of decisions: single ones, or successive ones of a recurrent policy.
 
 use rand::seq::SliceRandom;
 
-use super::adam::{Adam, clip};
 use super::batch::Batch;
-use super::config::Ppo;
+use super::learner::{Learner, SHARDS};
 use super::loss::{self, Sample, Terms};
-use super::network::{Space, TrainableGnn};
+use super::network::Space;
 use super::parallel::in_parallel;
 use super::record::Experience;
 use super::rollout::{CHUNK, RolloutSettings};
-use murmurate::random;
-use murmurate::random::{Seed, Stream};
-
-/// Number of shards of a minibatch: more than the useful number of threads, and few enough that adding them is cheap.
-const SHARDS: usize = 8;
-
-/// A network with its parameters and its optimiser's state.
-#[derive(Clone, Debug)]
-pub struct Learner {
-    /// Layer widths of the network, and the places of its layers in `parameters`.
-    pub network: TrainableGnn,
-    /// All weights and biases of the network, in one vector.
-    pub parameters: Vec<f32>,
-    /// State of the network's optimiser.
-    pub adam: Adam,
-}
+use murmurate::random::Stream;
 
 /// Statistics of one update of policy and critic.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -56,14 +39,16 @@ pub struct NotFinite {
 /// Buffers and sums of one shard of a minibatch.
 #[derive(Debug, Default)]
 struct Shard {
-    /// Decisions of the shard, each as (index of its record, index of the decision in the record).
-    decisions: Vec<(u32, u32)>,
+    /// Windows of decisions of the shard, each as (index of its record, index of the window in the record).
+    windows: Vec<(u32, u32)>,
     actor: Vec<f32>,
     critic: Vec<f32>,
     batch: Batch<f32>,
     actor_space: Space<f32>,
     critic_space: Space<f32>,
     d_outputs: Vec<f32>,
+    /// Number of samples: decisions of robots.
+    samples: usize,
     divergence: f32,
     entropy: f32,
     value_loss: f32,
@@ -74,6 +59,17 @@ struct Shard {
 pub struct Workspace {
     shards: Vec<Shard>,
     order: Vec<(u32, u32)>,
+}
+
+impl Workspace {
+    /// Lists the windows of `length` decisions of all records.
+    fn begin(&mut self, records: &[&Experience], length: usize) {
+        self.shards.resize_with(SHARDS, Shard::default);
+        self.order.clear();
+        for (index, record) in records.iter().enumerate() {
+            self.order.extend((0..record.windows(length) as u32).map(|window| (index as u32, window)));
+        }
+    }
 }
 
 /// Updates `actor`, the policy, and `critic` by proximal policy optimisation from the decisions of all records, on up
@@ -97,11 +93,8 @@ pub fn update(
     if !mean.is_finite() || !scale.is_finite() {
         return Err(NotFinite { what: "the advantages" });
     }
-    workspace.shards.resize_with(SHARDS, Shard::default);
-    workspace.order.clear();
-    for (index, record) in records.iter().enumerate() {
-        workspace.order.extend((0..record.actor.len() as u32).map(|decision| (index as u32, decision)));
-    }
+    let extent = settings.window();
+    workspace.begin(records, extent.0);
     let terms = Terms {
         clip: ppo.clip,
         entropy,
@@ -114,22 +107,23 @@ pub fn update(
     for _ in 0..ppo.epochs {
         workspace.order.shuffle(stream);
         let (mut divergence, mut epoch_minibatches) = (0.0, 0.0);
-        for minibatch in workspace.order.chunks(ppo.minibatch) {
+        for minibatch in workspace.order.chunks((ppo.minibatch / extent.0).max(1)) {
             for (at, shard) in workspace.shards.iter_mut().enumerate() {
                 let start = |at: usize| minibatch.len() * at / SHARDS;
-                shard.decisions.clear();
-                shard.decisions.extend_from_slice(&minibatch[start(at)..start(at + 1)]);
+                shard.windows.clear();
+                shard.windows.extend_from_slice(&minibatch[start(at)..start(at + 1)]);
             }
             let (a, c) = (&*actor, &*critic);
             in_parallel(threads, workspace.shards.iter_mut(), |shard| {
-                shard.compute_gradients(records, (a, c), &terms, (mean, scale));
+                shard.compute_gradients(records, extent, (a, c), &terms, (mean, scale));
             });
-            let robots = records[0].actor.robots as f32 * minibatch.len() as f32;
-            let norm =
-                gradient_step(actor, &mut workspace.shards, |shard| &mut shard.actor, robots, learning_rate, ppo)
-                    .ok_or(NotFinite { what: "the policy's gradient" })?;
-            gradient_step(critic, &mut workspace.shards, |shard| &mut shard.critic, robots, learning_rate, ppo)
-                .ok_or(NotFinite { what: "the critic's gradient" })?;
+            let robots = workspace.shards.iter().map(|shard| shard.samples).sum::<usize>() as f32;
+            let gradients = workspace.shards.iter_mut().map(|shard| &mut shard.actor);
+            let norm = actor.step(gradients, robots, ppo.gradient_clip, learning_rate);
+            let norm = norm.ok_or(NotFinite { what: "the policy's gradient" })?;
+            let gradients = workspace.shards.iter_mut().map(|shard| &mut shard.critic);
+            let stepped = critic.step(gradients, robots, ppo.gradient_clip, learning_rate);
+            stepped.ok_or(NotFinite { what: "the critic's gradient" })?;
             let sum = |pick: fn(&Shard) -> f32| workspace.shards.iter().map(pick).sum::<f32>() / robots;
             divergence += sum(|shard| shard.divergence);
             outcome.entropy += sum(|shard| shard.entropy);
@@ -162,35 +156,13 @@ fn advantage_statistics(records: &[&Experience]) -> (f32, f32) {
     (mean as f32, (variance.sqrt() + 1e-8) as f32)
 }
 
-/// Adds the shards' gradients, divides the sum by the number of samples `robots`, and takes one step of the optimiser.
-/// Returns the gradient's norm before clipping; `None` if the norm is not finite.
-fn gradient_step(
-    learner: &mut Learner,
-    shards: &mut [Shard],
-    of: fn(&mut Shard) -> &mut Vec<f32>,
-    robots: f32,
-    learning_rate: f32,
-    ppo: &Ppo,
-) -> Option<f32> {
-    let (first, rest) = shards.split_first_mut().expect("there are shards");
-    let sum = of(first);
-    for shard in rest {
-        sum.iter_mut().zip(of(shard)).for_each(|(sum, gradient)| *sum += *gradient);
-    }
-    sum.iter_mut().for_each(|gradient| *gradient /= robots);
-    let norm = clip(sum, ppo.gradient_clip);
-    if !norm.is_finite() {
-        return None;
-    }
-    learner.adam.step(&mut learner.parameters, sum, learning_rate);
-    Some(norm)
-}
-
 impl Shard {
-    /// Computes the gradients of the losses of policy and critic over the shard's decisions.
+    /// Computes the gradients of the losses of policy and critic over the shard's windows, each of up to so many
+    /// decisions and decisions before them as `extent` says.
     fn compute_gradients(
         &mut self,
         records: &[&Experience],
+        extent: (usize, usize),
         (actor, critic): (&Learner, &Learner),
         terms: &Terms<f32>,
         (mean, scale): (f32, f32),
@@ -199,16 +171,21 @@ impl Shard {
             gradient.clear();
             gradient.resize(learner.parameters.len(), 0.0);
         }
-        (self.divergence, self.entropy, self.value_loss) = (0.0, 0.0, 0.0);
+        (self.samples, self.divergence, self.entropy, self.value_loss) = (0, 0.0, 0.0, 0.0);
         let robots = records[0].actor.robots;
-        for decisions in self.decisions.chunks(CHUNK) {
-            let samples = || {
-                decisions.iter().flat_map(|&(record, decision)| {
-                    let first = decision as usize * robots;
-                    (first..first + robots).map(move |at| (records[record as usize], at))
+        for windows in self.windows.chunks((CHUNK / extent.0).max(1)) {
+            let windows = || windows.iter().map(|&(record, window)| (records[record as usize], window as usize));
+            let decisions = || {
+                windows().flat_map(|(record, window)| {
+                    record.decisions_of(window, extent.0).map(move |decision| (record, decision))
                 })
             };
-            self.batch.gather(decisions.iter().map(|&(r, d)| (&records[r as usize].actor, d as usize)));
+            let samples = || {
+                decisions().flat_map(|(record, decision)| {
+                    (decision * robots..(decision + 1) * robots).map(move |at| (record, at))
+                })
+            };
+            self.batch.gather(windows().map(|(record, window)| record.window(window, extent)));
             actor.network.forward(&actor.parameters, &self.batch, &mut self.actor_space);
             self.d_outputs.clear();
             for (outputs, (record, at)) in self.actor_space.outputs().chunks_exact(4).zip(samples()) {
@@ -218,6 +195,7 @@ impl Shard {
                     advantage: (record.advantage[at] - mean) / scale,
                 };
                 let policy = loss::policy(outputs, &sample, terms);
+                self.samples += 1;
                 self.d_outputs.extend_from_slice(&policy.d_outputs);
                 self.divergence += policy.divergence;
                 self.entropy += policy.entropy;
@@ -225,7 +203,7 @@ impl Shard {
             let (batch, space) = (&self.batch, &mut self.actor_space);
             actor.network.backward(&actor.parameters, batch, &self.d_outputs, space, &mut self.actor);
 
-            self.batch.gather(decisions.iter().map(|&(r, d)| (&records[r as usize].critic, d as usize)));
+            self.batch.gather(decisions().map(|(record, decision)| record.critic.window(decision, 1)));
             critic.network.forward(&critic.parameters, &self.batch, &mut self.critic_space);
             self.d_outputs.clear();
             for (estimate, (record, at)) in self.critic_space.outputs().iter().zip(samples()) {
@@ -237,27 +215,4 @@ impl Shard {
             critic.network.backward(&critic.parameters, batch, &self.d_outputs, space, &mut self.critic);
         }
     }
-}
-
-/// Returns initial parameters of `network`, drawn from normal distributions whose variance preserves the size of
-/// activations (He et al., arXiv 1502.01852). The weights of the output layer are near zero, so that an untrained
-/// policy stands still; `bias` is the bias of that layer, and all other biases are zero.
-pub fn initial(network: &TrainableGnn, seed: Seed, bias: &[f32]) -> Vec<f32> {
-    let mut stream = seed.stream("train/initial");
-    let mut parameters = vec![0.0; network.parameters()];
-    for (index, layers) in network.layers().into_iter().enumerate() {
-        let depth = layers.len();
-        for (at, (inputs, weight, biases, end)) in layers.into_iter().enumerate() {
-            let last = at + 1 == depth;
-            let gain = if last { 1.0 } else { 2.0f32 };
-            let std = if last && index == 2 { 0.01 } else { (gain / inputs as f32).sqrt() };
-            for parameter in &mut parameters[weight..biases] {
-                *parameter = std * random::normals(&mut stream)[0] as f32;
-            }
-            if last && index == 2 {
-                parameters[biases..end].copy_from_slice(bias);
-            }
-        }
-    }
-    parameters
 }

@@ -1,8 +1,8 @@
 //! Update of a hop of format 1, with the layers before and after the sum folded into one.
 //!
 //! In format 1 the last message layer is linear and the messages are summed, so that layer is applied once, after the
-//! sum. The first update layer is linear up to its activation, so both are one layer. This changes the last digits of the
-//! results, so the format of the file fixes it: a hop of format 2 is computed as its file says.
+//! sum. The first update layer is linear up to its activation, so both are one layer. This changes the last digits of
+//! the results, so the format of the file fixes it: a hop of format 2 is computed as its file says.
 
 use super::perceptron::{Activation, Buffers, Perceptron};
 use crate::policy::mlp::{Layer, Relu};

@@ -22,9 +22,9 @@ struct Part {
 }
 
 impl Part {
-    /// Makes a network that is computed for each neighbour. If its first input is the robot's own, of `own` floats, that
-    /// part of the first layer is computed once for all of them. The sums of the others go on from it, so the bits are
-    /// those of the whole layer.
+    /// Makes a network that is computed for each neighbour. If its first input is the robot's own, of `own` floats,
+    /// that part of the first layer is computed once for all of them. The sums of the others go on from it, so the bits
+    /// are those of the whole layer.
     fn of_senders(inputs: &[Input], perceptron: Perceptron, own: usize) -> Part {
         let split = (inputs.first() == Some(&Input::Own)).then(|| perceptron.split(own)).flatten();
         match split {
@@ -161,8 +161,8 @@ impl Hop {
         })
     }
 
-    /// Makes the only hop of a policy of format 1, whose input is `input` floats, from the layers of its message and its
-    /// update network and its edge features.
+    /// Makes the only hop of a policy of format 1, whose input is `input` floats, from the layers of its message and
+    /// its update network and its edge features.
     ///
     /// # Panics
     /// If the layers do not fit each other.

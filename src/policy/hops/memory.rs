@@ -7,8 +7,8 @@ use crate::policy::weights::LayerTensors;
 /// Largest number of floats of a memory.
 const MAX_FLOATS: usize = 4096;
 
-/// Memory in a manifest: the robot's state h, which the cell changes in each step by h' = cell(encoder's output, h). The
-/// input of the first hop is h'. It is zero at the start.
+/// Memory in a manifest: the robot's state h, which the cell changes in each step by h' = cell(encoder's output, h).
+/// The input of the first hop is h'. It is zero at the start.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Memory {

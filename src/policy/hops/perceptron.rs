@@ -91,8 +91,8 @@ impl Perceptron {
     }
 
     /// Splits the first layer by its inputs: returns the part that takes the inputs before index `at`, and the
-    /// perceptron of all other inputs, for `apply_from` with the output of that part; `None` if there is no layer, or no
-    /// other input.
+    /// perceptron of all other inputs, for `apply_from` with the output of that part; `None` if there is no layer, or
+    /// no other input.
     pub(crate) fn split(&self, at: usize) -> Option<(Layer, Perceptron)> {
         let (first, rest) = self.layers.split_first().filter(|_| at < self.inputs)?;
         let (part, other) = first.split(at);

@@ -3,15 +3,12 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::network::TrainableHops;
+use crate::network::Shape;
+pub use crate::policy::Policy;
 use murmurate::config::{self, ConfigError, in_range};
-use murmurate::policy::Draw;
+use murmurate::policy::file::AnyManifest;
 use murmurate::policy::hops::action::Action;
-use murmurate::policy::hops::manifest::{
-    Aggregation, Deviation, Distribution, EdgeFeature, FORMAT, Hop, Input, Layers, Manifest, OUTPUTS,
-};
-use murmurate::policy::hops::perceptron::Activation;
-use murmurate::policy::manifest::Field;
+use murmurate::policy::hops::manifest::Manifest;
 
 /// Name of the preset, the default in a scenario without goals.
 pub const PRESET: &str = "imitation";
@@ -39,35 +36,6 @@ pub struct Config {
     pub imitation: Imitation,
     /// Distributions from which each episode's conditions are drawn.
     pub conditions: Conditions,
-}
-
-/// Network of the policy, and the parameters written to its manifest. All hops have the same networks, but the first
-/// has no input of its own and none of the sender: its messages are of the edges alone, so that neither a position nor
-/// a velocity that all robots have in common changes an action.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Policy {
-    /// Number of hops.
-    pub hops: usize,
-    /// Features of an edge, in the order of the networks' inputs.
-    pub edge: Vec<EdgeFeature>,
-    /// Widths of the layers of a message network.
-    pub message: Vec<usize>,
-    /// Method of combining messages, sum or mean.
-    pub aggregation: Aggregation,
-    /// Widths of the layers of an update network. The last one is that of a hop's output, which robots broadcast unless
-    /// the hop is the last.
-    pub update: Vec<usize>,
-    /// Activation after every layer but the last of an update network and the decoder: relu or tanh.
-    pub activation: Activation,
-    /// Communication radius \[m\].
-    pub radius_m: f32,
-    /// Steps of the policy per second \[Hz\]: that of the training world, 20.
-    pub rate_hz: f64,
-    /// Largest commanded speed along each axis \[m/s\].
-    pub limit_m_s: f32,
-    /// Hold time \[s\]: age up to which a neighbour's newest message is used.
-    pub hold_s: f64,
 }
 
 /// Parameters of the optimisation and of the rollouts.
@@ -154,65 +122,22 @@ impl Config {
         for (field, widths) in [("message", &self.policy.message), ("update", &self.policy.update)] {
             in_range(&format!("policy.{field}"), widths.len() as f64, (1.0, 8.0))?;
         }
-        let manifest = self.manifest("any");
         let wrong = |text: String| match text.split_once(": ") {
             Some((field, reason)) => ConfigError::field(format!("policy.{field}"), reason.to_owned()),
             None => ConfigError::field("policy", text),
         };
-        manifest.check().map_err(wrong)?;
-        TrainableHops::new(&manifest).map(|_| ()).map_err(wrong)
+        let manifest = self.policy.manifest("any", Action::Acceleration, None).map_err(wrong)?;
+        Shape::of_manifest(&manifest).map(|_| ()).map_err(wrong)
     }
 
     /// Returns the manifest of the policy for a scenario.
+    ///
+    /// # Panics
+    /// If the policy cannot have its fields together, which `check` excludes.
     pub fn manifest(&self, scenario: &str) -> Manifest {
-        let Policy { hops, edge, message, aggregation, update, activation, radius_m, rate_hz, limit_m_s, hold_s } =
-            &self.policy;
-        let edge_floats: usize = edge.iter().map(|feature| feature.floats()).sum();
-        let (messages, output) = (*message.last().unwrap_or(&0), *update.last().unwrap_or(&0));
-        let layers = |inputs: &[Input], first: usize, widths: &[usize], output_activation: Activation| Layers {
-            inputs: inputs.to_vec(),
-            widths: [first].into_iter().chain(widths.iter().copied()).collect(),
-            activation: (widths.len() > 1).then_some(*activation),
-            output_activation,
-        };
-        let hop = |at: usize| {
-            let (message_inputs, update_inputs): (&[Input], &[Input]) = match at {
-                0 => (&[Input::Edge], &[Input::Messages]),
-                _ => (&[Input::Sender, Input::Edge], &[Input::Own, Input::Messages]),
-            };
-            let input = if at == 0 { 0 } else { output };
-            Hop {
-                message: Some(layers(message_inputs, input + edge_floats, message, *activation)),
-                aggregation: *aggregation,
-                heads: None,
-                score: None,
-                query: None,
-                key: None,
-                self_loop: None,
-                update: Some(layers(update_inputs, input + messages, update, Activation::Linear)),
-            }
-        };
-        Manifest {
-            format: FORMAT,
-            scenario: scenario.to_owned(),
-            observation: vec![Field::Velocity.into()],
-            edge: edge.clone(),
-            // The format has an encoder; nothing uses its one output, as the first hop takes edges alone.
-            encoder: layers(&[], 2, &[1], Activation::Linear),
-            memory: None,
-            hops: (0..*hops).map(hop).collect(),
-            decoder: layers(&[], output, &[OUTPUTS], Activation::Linear),
-            action: Action::Acceleration,
-            distribution: Distribution::DiagonalNormal,
-            deviation: Deviation::Log,
-            draw: Draw::Mean,
-            log_std_max: None,
-            radius_m: *radius_m,
-            rate_hz: *rate_hz,
-            limit_m_s: *limit_m_s,
-            hold_s: *hold_s,
-            sha256: String::new(),
-            training: None,
+        match self.policy.manifest(scenario, Action::Acceleration, None) {
+            Ok(AnyManifest::Format2(manifest)) => manifest,
+            other => panic!("a checked policy that acts by accelerations is of format 2: {other:?}"),
         }
     }
 }
@@ -220,6 +145,8 @@ impl Config {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use murmurate::policy::hops::manifest::Aggregation;
+    use murmurate::policy::hops::perceptron::Activation;
 
     #[test]
     fn wrong_fields_and_networks_that_training_does_not_support_are_named() {
@@ -239,8 +166,5 @@ mod tests {
             let why = refused(change);
             assert!(why.contains(named), "{named}: {why}");
         }
-        let mut manifest = Config::preset().manifest("flocking");
-        manifest.action = Action::Velocity;
-        assert!(TrainableHops::new(&manifest).expect_err("it is not supported").starts_with("action"));
     }
 }

@@ -8,8 +8,9 @@ use std::collections::VecDeque;
 
 use rand::RngExt;
 
-use super::graph::Graph;
-use super::network::{Space, TrainableHops};
+use crate::batch::Batch;
+use crate::graphs::Graphs;
+use crate::network::{Network, Space};
 use murmurate::messages::geometry::{Motion, Planar, Task, Vec2};
 use murmurate::messages::local::Contacts;
 use murmurate::observation::Observation;
@@ -35,7 +36,7 @@ pub struct Setting<'a> {
     /// Metadata of the trained policy.
     pub manifest: &'a Manifest,
     /// Network of the trained policy.
-    pub network: &'a TrainableHops,
+    pub network: &'a Network,
     /// Weights and biases of the trained policy.
     pub parameters: &'a [f32],
 }
@@ -58,33 +59,22 @@ pub enum Messages {
     Late(f32),
 }
 
-/// States, messages and the expert's actions at one step of a team.
-#[derive(Clone, Debug, Default)]
-pub struct Step {
-    /// State of each robot, world frame.
-    pub motion: Vec<Motion>,
-    /// Index of each robot's first message, and last the number of messages.
-    pub first: Vec<u32>,
-    /// Sender of each message, and its age in steps, grouped by receivers in the order of their ids.
-    pub heard: Vec<(u16, u8)>,
-    /// Acceleration \[m/s²\] of the expert for each robot.
-    pub expert: Vec<[f32; 2]>,
-}
-
 /// Episode of one team.
 #[derive(Clone, Debug)]
 pub struct TaughtEpisode {
-    /// Steps of the episode in their order; empty if they were not to be learnt.
-    pub steps: Vec<Step>,
+    /// Observations, messages and latents of the robots, one graph for each step; empty if they were not to be learnt.
+    pub graphs: Graphs,
+    /// Acceleration \[m/s²\] of the expert for each robot in each step; empty if the steps were not to be learnt.
+    pub expert: Vec<[f32; 2]>,
     /// Verdict, cost and smallest distance of robots.
     pub finding: Judgement,
 }
 
-/// Messages of all robots at one step: their states, and their inputs of every hop.
-#[derive(Debug, Default)]
-struct Sent {
-    motion: Vec<Motion>,
-    inputs: Vec<Vec<f32>>,
+impl TaughtEpisode {
+    /// Returns the number of steps that were recorded.
+    pub fn steps(&self) -> usize {
+        self.expert.len() / self.graphs.robots
+    }
 }
 
 /// Team in an episode.
@@ -95,9 +85,10 @@ struct TaughtTeam<'a> {
     messages: Messages,
     /// For each receiver and sender, the number of steps since a message was received; `u8::MAX` for none.
     silence: Vec<u8>,
-    /// Messages of this step and of those before it, the newest first.
-    sent: VecDeque<Sent>,
-    graph: Graph<f32>,
+    /// States in this step and in those before it, the newest first.
+    sent: VecDeque<Vec<Motion>>,
+    graphs: Graphs,
+    batch: Batch<f32>,
     space: Space<f32>,
 }
 
@@ -111,12 +102,18 @@ impl TaughtTeam<'_> {
         self.setting.scenario.observe(&self.tasks[robot], &self.motion[robot])
     }
 
-    /// Receives the messages of this step: who heard whom, and how old it is. Returns index and messages by receivers.
-    fn receive(&mut self, stream: &mut Stream) -> (Vec<u32>, Vec<(u16, u8)>) {
-        let (robots, most) = (self.motion.len(), most_age(self.setting.manifest));
-        let radius = self.setting.manifest.radius_m;
-        let (mut first, mut heard) = (vec![0], Vec::new());
+    /// Records the graph of this step: the robots' observations, and the messages that they receive.
+    fn observe(&mut self, stream: &mut Stream) {
+        let Setting { manifest, .. } = self.setting;
+        let (robots, most) = (self.motion.len(), most_age(manifest));
+        for robot in 0..robots {
+            let seen = self.observation(robot);
+            let (_, to) = self.graphs.source();
+            entry::write(&manifest.observation, &seen, to);
+            self.graphs.begins(self.sent.len() == 1);
+        }
         for receiver in 0..robots {
+            let own = self.motion[receiver];
             for sender in (0..robots).filter(|sender| *sender != receiver) {
                 let silence = &mut self.silence[receiver * robots + sender];
                 *silence = match self.messages {
@@ -128,46 +125,25 @@ impl TaughtTeam<'_> {
                 if age > most || usize::from(age) >= self.sent.len() {
                     continue;
                 }
-                let from = self.sent[usize::from(age)].motion[sender].position;
-                if (from - self.motion[receiver].position).norm_squared() <= radius * radius {
-                    heard.push((sender as u16, age));
+                let sent = &self.sent[usize::from(age)][sender];
+                if (sent.position - own.position).norm_squared() <= manifest.radius_m * manifest.radius_m {
+                    let to = self.graphs.edge_of_age(receiver, sender as u16, age);
+                    write_features(manifest, &own, (sent, age), to);
                 }
             }
-            first.push(heard.len() as u32);
         }
-        (first, heard)
+        self.graphs.end();
     }
 
-    /// Computes the policy's accelerations \[m/s²\] from the messages that were received.
-    fn act(&mut self, first: &[u32], heard: &[(u16, u8)]) -> Vec<[f32; 2]> {
-        let Setting { manifest, network, parameters, .. } = self.setting;
-        let (robots, mut observations) = (self.motion.len(), Vec::new());
-        for robot in 0..robots {
-            let seen = self.observation(robot);
-            entry::append(&manifest.observation, &seen, &mut observations);
-        }
-        let mut hidden = network.encode(parameters, &observations, &mut self.space).to_vec();
-        self.graph.clear();
-        let mut edge = vec![0.0; network.edge()];
-        for receiver in 0..robots {
-            for (sender, age) in &heard[first[receiver] as usize..first[receiver + 1] as usize] {
-                let sent = &self.sent[usize::from(*age)];
-                let motion = &sent.motion[usize::from(*sender)];
-                write_features(manifest, &self.motion[receiver], (motion, *age), &mut edge);
-                self.graph.edges.extend_from_slice(&edge);
-                self.graph.sender.push(u32::from(*age) * robots as u32 + u32::from(*sender));
-            }
-            self.graph.end_node();
-        }
-        for hop in 0..network.hops() {
-            self.sent[0].inputs.push(hidden);
-            let (sent, width) = (&self.sent, self.sent[0].inputs[hop].len() / robots);
-            let input = |at: usize| &sent[at / robots].inputs[hop][at % robots * width..][..width];
-            let own = &sent[0].inputs[hop];
-            hidden = network.hop(hop, parameters, own, input, &self.graph, &mut self.space).to_vec();
-        }
-        let outputs = network.decode(parameters, &hidden, &mut self.space);
-        outputs.chunks_exact(network.outputs()).map(|output| [output[0], output[1]]).collect()
+    /// Computes the policy's accelerations \[m/s²\] in this step, and records the robots' latents.
+    fn act(&mut self) -> Vec<[f32; 2]> {
+        let Setting { network, parameters, .. } = self.setting;
+        let TaughtTeam { graphs, batch, space, .. } = self;
+        let graph = graphs.len() - 1;
+        batch.gather(std::iter::once(graphs.window(graph, 1)));
+        network.forward(parameters, batch, space);
+        graphs.store_latents(graphs.robots, |hop| space.hop_inputs(hop));
+        space.outputs().chunks_exact(network.outputs()).map(|output| [output[0], output[1]]).collect()
     }
 
     /// Returns the expert's accelerations \[m/s²\]: robots step together, and messages of this step are received within
@@ -234,31 +210,41 @@ pub fn run(
     let physics = Physics::published(arena);
     let mut world = World::new(&motion);
     let most = usize::from(most_age(setting.manifest));
-    let (mut graph, silence) = (Graph::default(), vec![u8::MAX; robots * robots]);
-    graph.clear();
-    let (sent, space) = (VecDeque::new(), Space::default());
-    let mut team = TaughtTeam { setting, tasks, motion, messages, silence, sent, graph, space };
-    let (mut steps, mut after) = (Vec::new(), Span::ZERO);
+    let Setting { network, .. } = setting;
+    let graphs = Graphs::new(robots, network.inputs(), network.shape().edge);
+    let mut team = TaughtTeam {
+        setting,
+        tasks,
+        motion,
+        messages,
+        silence: vec![u8::MAX; robots * robots],
+        sent: VecDeque::new(),
+        graphs: graphs.recurrent(1, network.hop_inputs(), network.shape().memory.is_some(), 0),
+        batch: Batch::default(),
+        space: Space::default(),
+    };
+    let (mut taught_all, mut after) = (Vec::new(), Span::ZERO);
     loop {
         team.sent.truncate(most);
-        team.sent.push_front(Sent { motion: team.motion.clone(), inputs: Vec::new() });
-        let (first, heard) = team.receive(stream);
-        let own = (driver == Driver::Policy).then(|| team.act(&first, &heard));
+        team.sent.push_front(team.motion.clone());
+        team.observe(stream);
+        let own = team.act();
         let taught = expert.as_mut().map(|expert| team.ask(&mut **expert, stream));
-        let accelerations = own.as_ref().or(taught.as_ref()).expect("an episode that an expert drives has one");
+        let accelerations = match (driver, &taught) {
+            (Driver::Expert, Some(taught)) => taught,
+            _ => &own,
+        };
         let limit = setting.manifest.limit_m_s;
         let command = |(motion, acceleration): (&Motion, &[f32; 2])| {
             let change = Vec2::from(acceleration.map(limited)) * PERIOD.as_secs() as f32;
             (motion.velocity + change).map(|axis| axis.clamp(-limit, limit))
         };
         let commands: Vec<Vec2> = team.motion.iter().zip(accelerations).map(command).collect();
-        if let Some(expert) = taught {
-            steps.push(Step { motion: team.motion.clone(), first, heard, expert });
-        }
+        taught_all.extend(taught.into_iter().flatten());
         world.step(arena, &physics, &commands, &mut team.motion);
         after = after + PERIOD;
         if let Some(finding) = judge.update(after, &world.judged(&team.motion)) {
-            return TaughtEpisode { steps, finding };
+            return TaughtEpisode { graphs: team.graphs, expert: taught_all, finding };
         }
     }
 }

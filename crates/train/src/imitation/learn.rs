@@ -1,16 +1,14 @@
 //! Gradient of the difference between a policy's actions and the expert's, over recorded steps.
 
 use super::config::Imitation;
-use super::episode::{Setting, TaughtEpisode, limited, write_features};
-use super::graph::Graph;
-use super::network::Space;
-use murmurate::messages::geometry::Vec2;
-use murmurate::observation::Observation;
-use murmurate::policy::hops::entry;
+use super::episode::{Setting, TaughtEpisode, limited};
+use crate::batch::Batch;
+use crate::graphs::Window;
+use crate::network::Space;
 
 /// Steps of an episode that are learnt together.
 #[derive(Clone, Copy, Debug)]
-pub struct Window {
+pub struct Lesson {
     /// Index of the episode among those of the iteration.
     pub episode: usize,
     /// First step.
@@ -20,10 +18,8 @@ pub struct Window {
 /// Buffers and results of one part of a minibatch.
 #[derive(Debug, Default)]
 pub struct Shard {
-    graph: Graph<f32>,
+    batch: Batch<f32>,
     space: Space<f32>,
-    /// Expert's acceleration of each node \[m/s²\]; `None` for a node that is not learnt.
-    expert: Vec<Option<[f32; 2]>>,
     d_outputs: Vec<f32>,
     /// Gradient of the loss.
     pub gradient: Vec<f32>,
@@ -33,25 +29,42 @@ pub struct Shard {
     pub learnt: usize,
 }
 
+impl Lesson {
+    /// Returns the steps that are learnt, and those before them from which messages still count.
+    fn window<'a>(&self, imitation: &Imitation, episodes: &'a [TaughtEpisode]) -> Window<'a> {
+        let episode = &episodes[self.episode];
+        let first = self.begin.saturating_sub(imitation.lookback);
+        let steps = (self.begin + imitation.window).min(episode.steps()) - first;
+        Window { graphs: &episode.graphs, first, steps, lookback: self.begin - first, every: 1 }
+    }
+
+    /// Returns the expert's actions in the steps that are learnt.
+    fn expert<'a>(&self, imitation: &Imitation, episodes: &'a [TaughtEpisode]) -> &'a [[f32; 2]] {
+        let episode = &episodes[self.episode];
+        let end = (self.begin + imitation.window).min(episode.steps());
+        &episode.expert[self.begin * episode.graphs.robots..end * episode.graphs.robots]
+    }
+}
+
 impl Shard {
-    /// Computes the gradient of the loss of some windows.
-    pub fn learn(&mut self, setting: &Setting, imitation: &Imitation, episodes: &[TaughtEpisode], windows: &[Window]) {
-        self.gather(setting, imitation, episodes, windows);
+    /// Computes the gradient of the loss of some lessons.
+    pub fn learn(&mut self, setting: &Setting, imitation: &Imitation, episodes: &[TaughtEpisode], lessons: &[Lesson]) {
         let Setting { network, parameters, .. } = *setting;
-        let Shard { graph, space, expert, d_outputs, gradient, loss, learnt } = self;
+        let Shard { batch, space, d_outputs, gradient, loss, learnt } = self;
         gradient.clear();
         gradient.resize(parameters.len(), 0.0);
         (*loss, *learnt) = (0.0, 0);
-        if graph.nodes() == 0 {
+        if lessons.is_empty() {
             return;
         }
-        network.forward(parameters, graph, space);
+        batch.gather(lessons.iter().map(|lesson| lesson.window(imitation, episodes)));
+        network.forward(parameters, batch, space);
         d_outputs.clear();
         d_outputs.resize(space.outputs().len(), 0.0);
         let width = network.outputs();
         let rows = space.outputs().chunks_exact(width).zip(d_outputs.chunks_exact_mut(width));
-        for ((output, d), expert) in rows.zip(expert.iter()) {
-            let Some(expert) = expert else { continue };
+        let experts = lessons.iter().flat_map(|lesson| lesson.expert(imitation, episodes));
+        for ((output, d), expert) in rows.zip(experts) {
             *learnt += 1;
             for axis in 0..2 {
                 let (error, slope) = difference(output[axis], expert[axis]);
@@ -59,42 +72,7 @@ impl Shard {
                 d[axis] = 2.0 * slope;
             }
         }
-        network.backward(parameters, graph, d_outputs, space, gradient);
-    }
-
-    /// Makes the graph of some windows.
-    fn gather(&mut self, setting: &Setting, imitation: &Imitation, episodes: &[TaughtEpisode], windows: &[Window]) {
-        let Shard { graph, expert, .. } = self;
-        let (manifest, robots) = (setting.manifest, setting.scenario.robots());
-        graph.clear();
-        expert.clear();
-        let mut edge = vec![0.0; setting.network.edge()];
-        for Window { episode, begin } in windows {
-            let steps = &episodes[*episode].steps;
-            let from = begin.saturating_sub(imitation.lookback);
-            let base = graph.nodes();
-            for at in from..(begin + imitation.window).min(steps.len()) {
-                let step = &steps[at];
-                for robot in 0..robots {
-                    let motion = step.motion[robot];
-                    let seen = Observation::new(motion, Vec2::zeros());
-                    entry::append(&manifest.observation, &seen, &mut graph.observations);
-                    let range = step.first[robot] as usize..step.first[robot + 1] as usize;
-                    for (sender, age) in &step.heard[range] {
-                        let Some(sent) = at.checked_sub(usize::from(*age)).filter(|sent| *sent >= from) else {
-                            continue;
-                        };
-                        let sender = usize::from(*sender);
-                        write_features(manifest, &motion, (&steps[sent].motion[sender], *age), &mut edge);
-                        graph.edges.extend_from_slice(&edge);
-                        let node = base + (sent - from) * robots + sender;
-                        graph.sender.push(u32::try_from(node).expect("a batch has far fewer nodes"));
-                    }
-                    graph.end_node();
-                    expert.push((at >= *begin).then(|| step.expert[robot]));
-                }
-            }
-        }
+        network.backward(parameters, batch, d_outputs, space, gradient);
     }
 }
 

@@ -9,8 +9,5 @@
 
 pub mod config;
 pub mod episode;
-pub mod graph;
 pub mod learn;
-pub mod network;
-pub mod perceptron;
 pub mod trainer;

@@ -9,28 +9,28 @@ use serde::{Deserialize, Serialize};
 
 use super::config::Config;
 use super::episode::{self, Driver, Messages, Setting, TaughtEpisode};
-use super::learn::{Shard, Window};
-use super::network::TrainableHops;
-use crate::adam::{Adam, clip};
+use super::learn::{Lesson, Shard};
+use crate::adam::Adam;
 use crate::checkpoint::vector_instructions;
+use crate::learner::{Initial, Learner, SHARDS};
+use crate::network::{Network, Shape};
 use crate::parallel::in_parallel;
+use crate::policy;
 use crate::trainer::Diverged;
 use murmurate::config::kinds::FileKind;
 use murmurate::messages::ids::RobotId;
 use murmurate::observation::PolicyFrame;
-use murmurate::policy::hops::file;
+use murmurate::policy::file::AnyManifest;
 use murmurate::policy::hops::manifest::Manifest;
 use murmurate::policy::manifest::Training;
 use murmurate::policy::{Model, ModelError};
 use murmurate::random::{Seed, Stream};
 use murmurate::registry::Registry;
-use murmurate::scenario::judge::Verdict;
+use murmurate::scenario::judge::{Judgement, Verdict};
 use murmurate::scenario::{Scenario, ScenarioError, Settings};
 use murmurate_report::outcomes::CostOutcomes;
 use murmurate_report::statistics::mean_95;
 
-/// Number of parts of a minibatch whose gradients are added in order, so that the number of threads changes no result.
-const SHARDS: usize = 4;
 /// Version of the checkpoint format.
 const FORMAT: u32 = 1;
 /// Seed of the layouts of an evaluation.
@@ -126,9 +126,7 @@ pub struct Trainer {
     scenario: Arc<dyn Scenario>,
     expert: Model,
     manifest: Manifest,
-    network: TrainableHops,
-    parameters: Vec<f32>,
-    adam: Adam,
+    learner: Learner,
     iteration: u64,
     decisions: u64,
 }
@@ -169,11 +167,11 @@ impl Trainer {
             return Err(wrong("a policy of several hops is no expert".to_owned()));
         }
         let manifest = plan.config.manifest(&plan.scenario);
-        let network = TrainableHops::new(&manifest).expect("a checked configuration has a supported network");
+        let shape = Shape::of_manifest(&AnyManifest::Format2(manifest.clone()));
+        let shape = shape.expect("a checked configuration has a supported network");
         let mut stream = Seed::of_run(plan.seed).stream("train/imitation/initial");
-        let parameters = initial(&network, &mut stream);
-        let adam = Adam::new(parameters.len());
-        Ok(Trainer { plan, scenario, expert, manifest, network, parameters, adam, iteration: 0, decisions: 0 })
+        let learner = Learner::new(Network::new(shape), Initial::Uniform, &mut stream);
+        Ok(Trainer { plan, scenario, expert, manifest, learner, iteration: 0, decisions: 0 })
     }
 
     fn stream(&self, name: &str) -> Stream {
@@ -181,7 +179,8 @@ impl Trainer {
     }
 
     fn setting(&self) -> Setting<'_> {
-        let Trainer { scenario, expert, manifest, network, parameters, .. } = self;
+        let Trainer { scenario, expert, manifest, learner, .. } = self;
+        let Learner { network, parameters, .. } = learner;
         Setting { scenario: &**scenario, expert, manifest, network, parameters }
     }
 
@@ -196,37 +195,34 @@ impl Trainer {
         let settings = self.plan.config.imitation.clone();
         let [from, to] = settings.learning_rate;
         let learning_rate = from * libm::powf(to / from, progress);
-        let mut windows: Vec<Window> = Vec::new();
+        let mut lessons: Vec<Lesson> = Vec::new();
         for (episode, recorded) in episodes.iter().enumerate() {
-            windows.extend((0..recorded.steps.len()).step_by(settings.window).map(|begin| Window { episode, begin }));
+            lessons.extend((0..recorded.steps()).step_by(settings.window).map(|begin| Lesson { episode, begin }));
         }
-        windows.shuffle(&mut self.stream(&format!("order/{}", self.iteration)));
+        lessons.shuffle(&mut self.stream(&format!("order/{}", self.iteration)));
         let mut shards: Vec<Shard> = Vec::new();
         shards.resize_with(SHARDS, Shard::default);
         let (mut loss, mut gradient, mut batches) = (0.0, 0.0, 0.0);
-        for batch in windows.chunks(settings.batch) {
+        for batch in lessons.chunks(settings.batch) {
             let start = |at: usize| batch.len() * at / SHARDS;
             in_parallel(threads, shards.iter_mut().enumerate(), |(at, shard)| {
                 shard.learn(&self.setting(), &settings, &episodes, &batch[start(at)..start(at + 1)]);
             });
             let learnt: usize = shards.iter().map(|shard| shard.learnt).sum();
-            let scale = 1.0 / (2 * learnt).max(1) as f32;
-            let mut sum = vec![0.0; self.parameters.len()];
-            for shard in &shards {
-                sum.iter_mut().zip(&shard.gradient).for_each(|(sum, part)| *sum += *part * scale);
-            }
-            let norm = clip(&mut sum, settings.max_gradient);
-            if !norm.is_finite() {
-                let (iteration, decisions) = (self.iteration + 1, self.decisions);
-                return Err(Diverged { iteration, decisions, what: "the gradient", learning_rate });
-            }
-            self.adam.step(&mut self.parameters, &sum, learning_rate);
-            loss += shards.iter().map(|shard| shard.loss).sum::<f32>() * scale;
-            gradient += norm;
+            let components = (2 * learnt).max(1) as f32;
+            loss += shards.iter().map(|shard| shard.loss).sum::<f32>() / components;
+            let gradients = shards.iter_mut().map(|shard| &mut shard.gradient);
+            gradient +=
+                self.learner.step(gradients, components, settings.max_gradient, learning_rate).ok_or(Diverged {
+                    iteration: self.iteration + 1,
+                    decisions: self.decisions,
+                    what: "the gradient",
+                    learning_rate,
+                })?;
             batches += 1.0;
         }
         self.iteration += 1;
-        self.decisions += episodes.iter().map(|episode| episode.steps.len() as u64).sum::<u64>();
+        self.decisions += episodes.iter().map(|episode| episode.steps() as u64).sum::<u64>();
         let own = || episodes.iter().zip(&drivers).filter(|(_, driver)| **driver == Driver::Policy);
         let count = own().count() as f64;
         let collided = own().filter(|(episode, _)| episode.finding.verdict == Verdict::RobotCollision).count();
@@ -274,15 +270,16 @@ impl Trainer {
         ];
         all.into_iter()
             .map(|(conditions, driver, messages)| {
-                let mut found: Vec<Option<TaughtEpisode>> = vec![None; episodes as usize];
+                let mut found: Vec<Option<Judgement>> = vec![None; episodes as usize];
                 in_parallel(threads, found.iter_mut().enumerate(), |(index, found)| {
                     let mut stream = Seed::of_run(EVALUATION_SEED).stream(&format!("train/imitation/evaluate/{index}"));
                     let expert =
                         (driver == Driver::Expert).then(|| self.expert.instance(self.scenario.arena(), RobotId(0)));
                     let layout = (EVALUATION_SEED, index as u32);
-                    *found = Some(episode::run(self.setting(), layout, (driver, messages), expert, &mut stream));
+                    let episode = episode::run(self.setting(), layout, (driver, messages), expert, &mut stream);
+                    *found = Some(episode.finding);
                 });
-                let findings = || found.iter().flatten().map(|episode| episode.finding);
+                let findings = || found.iter().flatten();
                 let costs: Vec<f64> = findings().filter_map(|finding| finding.cost).collect();
                 let collided = findings().filter(|finding| finding.verdict == Verdict::RobotCollision).count();
                 let (cost_mean, cost_ci95) = mean_95(&costs).unwrap_or((f64::NAN, [f64::NAN; 2]));
@@ -313,16 +310,16 @@ impl Trainer {
 
     /// Returns the bytes of a policy file with the current weights.
     pub fn policy_file(&self) -> Vec<u8> {
-        let mut manifest = self.manifest.clone();
-        manifest.training = Some(Training {
+        let training = Training {
             program: format!("murmurate {}", env!("CARGO_PKG_VERSION")),
             preset: self.plan.preset.clone(),
             seed: self.plan.seed,
             decisions: self.decisions,
             env_steps: self.decisions,
             configuration: serde_json::to_value(&self.plan.config).expect("a configuration is JSON"),
-        });
-        file::write(&manifest, &self.network.tensors(&self.parameters))
+        };
+        let manifest = AnyManifest::Format2(self.manifest.clone());
+        policy::file(manifest, training, self.learner.network.tensors(&self.learner.parameters))
     }
 
     /// Returns the complete state as bytes, from which [`Trainer::resume`] continues with identical results.
@@ -331,8 +328,8 @@ impl Trainer {
             format: FORMAT,
             vector: vector_instructions(),
             plan: self.plan.clone(),
-            parameters: self.parameters.clone(),
-            adam: self.adam.clone(),
+            parameters: self.learner.parameters.clone(),
+            adam: self.learner.adam.clone(),
             iteration: self.iteration,
             decisions: self.decisions,
         };
@@ -357,29 +354,17 @@ impl Trainer {
         }
         state.plan.config.check().map_err(|error| SetupError::Format(error.to_string()))?;
         // Before anything is made of the configuration, which could ask for any amount of memory.
-        let network = TrainableHops::new(&state.plan.config.manifest(&state.plan.scenario));
-        let length = network.map_err(|why| SetupError::Format(why.to_string()))?.parameters();
+        let manifest = state.plan.config.manifest(&state.plan.scenario);
+        let shape = Shape::of_manifest(&AnyManifest::Format2(manifest));
+        let length = Network::new(shape.map_err(SetupError::Format)?).parameters();
         if state.parameters.len() != length || !state.adam.fits(length) {
             return Err(SetupError::Format("its weights do not match its configuration".to_owned()));
         }
         let mut trainer = Trainer::new(state.plan, registry)?;
-        (trainer.parameters, trainer.adam) = (state.parameters, state.adam);
+        (trainer.learner.parameters, trainer.learner.adam) = (state.parameters, state.adam);
         (trainer.iteration, trainer.decisions) = (state.iteration, state.decisions);
         Ok(trainer)
     }
-}
-
-/// Returns random weights: uniform, scaled by the width of each layer's input, with biases of zero (He et al.,
-/// arXiv 1502.01852, for ReLU). The last layer is a tenth as large, so that the first actions are small.
-fn initial(network: &TrainableHops, stream: &mut Stream) -> Vec<f32> {
-    let mut parameters = vec![0.0; network.parameters()];
-    let layers = network.layers();
-    for (at, [inputs, begin, bias, _]) in layers.iter().enumerate() {
-        let last = if at + 1 == layers.len() { 0.1 } else { 1.0 };
-        let bound = last * (6.0 / *inputs as f32).sqrt();
-        parameters[*begin..*bias].iter_mut().for_each(|weight| *weight = stream.random_range(-bound..bound));
-    }
-    parameters
 }
 
 /// Returns the costs of a score as text, such as `0.0123 (95 %: 0.0120 to 0.0126)`.
