@@ -5,11 +5,12 @@ use std::rc::Rc;
 
 use crate::actors::state_server;
 use crate::graph;
-use crate::graph::event::Event;
+use crate::graph::event::{Event, Report};
 use crate::graph::process::Graph;
 use crate::messages::ids::HostId;
 use crate::report::TrialReport;
 use crate::results::episode::Episode;
+use crate::runtime::clock::Clock;
 use crate::runtime::drive::{End, run_virtual};
 use crate::scenario::judge::Verdict;
 use crate::time::Time;
@@ -36,7 +37,7 @@ impl Trial {
     /// Runs the trial on the calling thread until its end, or until `proceed` returns [`Proceed::Stop`]. The function
     /// `proceed` is called after each event of the simulation with the results of the episodes so far.
     pub fn run_while(&self, mut proceed: impl FnMut(&[Episode]) -> Proceed) -> TrialReport {
-        self.run_observed(|_, _, _| {}, |_, _, episodes| proceed(episodes))
+        self.run_with(|_| None, |_, _, episodes| proceed(episodes))
     }
 
     /// Runs the trial on the calling thread until its end, or until `proceed` returns [`Proceed::Stop`], and reports
@@ -45,6 +46,17 @@ impl Trial {
     pub fn run_observed(
         &self,
         report: impl Fn(Time, HostId, Event) + 'static,
+        proceed: impl FnMut(&Graph, Time, &[Episode]) -> Proceed,
+    ) -> TrialReport {
+        let timed = |time: Clock| -> Report { Rc::new(move |host, event: Event| report(time.now(), host, event)) };
+        self.run_with(|time| Some(timed(time)), proceed)
+    }
+
+    /// Runs the trial on the calling thread, with the function that gets its events, as `report` makes it for the run's
+    /// clock.
+    fn run_with(
+        &self,
+        report: impl FnOnce(Clock) -> Option<Report>,
         mut proceed: impl FnMut(&Graph, Time, &[Episode]) -> Proceed,
     ) -> TrialReport {
         let shared = Rc::new(RefCell::new(TrialReport::default()));
@@ -54,10 +66,7 @@ impl Trial {
         };
         let (mut deadline, mut held_since) = (self.deadline(), None);
         let (graph, end) = run_virtual(
-            |clock| {
-                let time = clock.clone();
-                graph::wire(clock, self, Rc::new(move |host, event: Event| report(time.now(), host, event)), sink)
-            },
+            |clock| graph::wire(clock, self, report(clock.clone()), sink),
             |graph, now| {
                 let mut report = shared.borrow_mut();
                 report.simulated = now.since(Time::ZERO);

@@ -7,15 +7,18 @@ use std::rc::Rc;
 use tracing::info_span;
 
 use crate::actors::network;
-use crate::deploy::{Host, Link};
+use crate::deploy::{Host, Link, Routes};
 use crate::graph::agents::parts_of;
 use crate::graph::event::Event;
 use crate::graph::process::Graph;
 use crate::messages::ids::{HostId, LinkId, RobotId};
+use crate::messages::wire::Kind;
 use crate::net::media::emulator::LinkEmulator;
 use crate::net::media::ether::{self, Ether};
 use crate::net::media::radio_link::RadioLink;
 use crate::net::media::reach::Reach;
+use crate::net::protocol::codec;
+use crate::net::protocol::reliability::Reliability;
 use crate::net::transport;
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
@@ -30,9 +33,26 @@ const FASTEST_AXES: f32 = SQRT_2;
 /// Number of standard deviations by which a measurement is taken to be wrong at most, along a diagonal.
 const FAR_DEVIATIONS: f32 = 8.0 * SQRT_2;
 
-/// Starts the emulated links. On one with `shared`, datagrams to all reach every host, whatever they contain, as on
-/// real links.
-pub(super) fn wire_links(clock: &Clock, trial: &Trial, graph: &Graph, shared: bool) {
+/// Reception of datagrams on emulated links.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Reception {
+    /// Hosts take datagrams as they arrive.
+    AtOnce,
+    /// As `AtOnce`, and datagrams to all reach every host, whatever they contain, as on real links.
+    Shared,
+    /// Hosts take latents when they next do something else, as of their arrival. It gives the same run, and each host
+    /// takes many together: those of a large team do not fit into a processor's caches at once.
+    Left,
+}
+
+/// Starts the emulated links.
+pub(super) fn wire_links(clock: &Clock, trial: &Trial, graph: &Graph, reception: Reception) {
+    let shared = reception == Reception::Shared;
+    if reception == Reception::Left {
+        RobotId::team(trial.deployment.robots).for_each(|robot| {
+            graph.caches[robot.index()].runs_after(&graph.network_of(graph.routes.agent_host(robot)));
+        });
+    }
     let everyone: Vec<HostId> = (0..).map(HostId).take(trial.deployment.hosts.len()).collect();
     let first_robot = |host: &Host| host.agents.concat().into_iter().min();
     let robots_of: Rc<[Option<u16>]> = trial.deployment.hosts.iter().map(first_robot).collect();
@@ -54,17 +74,31 @@ pub(super) fn wire_links(clock: &Clock, trial: &Trial, graph: &Graph, shared: bo
             let users = users_m.map(|users_m| Reach::new(users_m, &robots_of));
             Ether::new(emulator, radio_link, reach, listens).with_users(users)
         };
+        let leaves = reception == Reception::Left && only_remembers(trial, link, &graph.routes);
         let (networks, events) = (graph.networks.clone(), Rc::clone(&graph.events));
         // The counts of a medium are of no host; the one that judges reports them.
         let judge = trial.deployment.judge();
         start(clock, &graph.media[index], info_span!("ether", link = link.name), make, move |out| match out {
             ether::Out::Arrive(to, frame) => {
                 events.emit(to, Event::Arrived(id, &frame));
-                networks[usize::from(to.0)].send(network::In::Frame(id, frame, None));
+                let network = &networks[usize::from(to.0)];
+                if leaves && codec::is_only(&frame, Kind::Latent) {
+                    network.leave(network::In::Frame(id, frame, None));
+                } else {
+                    network.send(network::In::Frame(id, frame, None));
+                }
             }
             ether::Out::Counts(counts) => events.emit(judge, Event::Radio(id, &counts)),
         });
     }
+}
+
+/// Returns whether hosts do nothing upon latents that arrive on a link but remember them: they neither ask for lost
+/// ones, nor join parts, nor hold them against readings, nor fail.
+fn only_remembers(trial: &Trial, link: &Link, routes: &Routes) -> bool {
+    let plain = link.reliability.values().all(|one| *one == Reliability::BestEffort);
+    let witnessed = RobotId::team(trial.deployment.robots).any(|robot| routes.is_witnessed(robot));
+    plain && !witnessed && trial.faults.actors.is_empty() && parts_of(&trial.models).is_none()
 }
 
 /// Returns the distance \[m\] from its sender beyond which a latent on a link is of no use to any robot, so that it
@@ -112,7 +146,6 @@ mod tests {
     use std::cell::RefCell;
 
     use super::*;
-    use crate::deploy::Routes;
     use crate::graph::process::Process;
     use crate::graph::wire_all;
     use crate::messages::wire::KINDS;
@@ -153,7 +186,9 @@ mod tests {
         let (noted, ended) = (Rc::clone(&report), Rc::clone(&report));
         let limit = Time::ZERO + Span::from_secs(LONGEST_S) * u64::from(count);
         run_virtual(
-            |clock| wire_all(clock, &trial, (&process, routes, true), move |out| noted.borrow_mut().note(out)),
+            |clock| {
+                wire_all(clock, &trial, (&process, routes, Reception::Shared), move |out| noted.borrow_mut().note(out))
+            },
             |_, now| ended.borrow().finished || now >= limit,
         );
         let episodes = report.borrow().episodes.clone();

@@ -36,7 +36,7 @@ use crate::chassis::Chassis;
 use crate::deploy::{Routes, Stepping};
 use crate::graph::agents::{agent_of, deadlines, max_wait, parts_of};
 use crate::graph::delivery::{deliveries, wire_server, wire_status};
-use crate::graph::emulated::wire_links;
+use crate::graph::emulated::{Reception, wire_links};
 use crate::graph::event::{Event, Report};
 use crate::graph::process::{Graph, Process};
 use crate::messages::ids::{HostId, RobotId};
@@ -53,31 +53,32 @@ use crate::world::Placement;
 pub const COMMAND_VALIDITY: Span = Span::from_millis(200);
 
 /// Starts and connects the actors of all hosts of a trial in one process, with emulated links. They run on `clock`.
-/// `report` is called with each event of the process, such as a message, and `output` with the results of episodes and
-/// steps.
+/// `report` is called with each event of the process, such as a message, in the order in which they happen; without it,
+/// hosts may take latents later than they arrive, as of their arrival. `output` is called with the results of episodes
+/// and steps.
 pub(crate) fn wire(
     clock: &Clock,
     trial: &Trial,
-    report: Report,
+    report: Option<Report>,
     output: impl FnMut(recorder::Out) + 'static,
 ) -> Rc<Graph> {
     let routes = Routes::of(&trial.deployment);
-    let process = Process::all_hosts(trial, &routes, report);
-    wire_all(clock, trial, (&process, routes, false), output)
+    let reception = if report.is_some() { Reception::AtOnce } else { Reception::Left };
+    let process = Process::all_hosts(trial, &routes, report.unwrap_or_else(|| Rc::new(|_, _| {})));
+    wire_all(clock, trial, (&process, routes, reception), output)
 }
 
-/// Starts all hosts of a trial in one process, as `process` describes, with the routes of its deployment. If `shared`,
-/// datagrams to all reach every host on the emulated links, whatever they contain, as on real ones.
+/// Starts all hosts of a trial in one process, as `process` describes, with the routes of its deployment.
 fn wire_all(
     clock: &Clock,
     trial: &Trial,
-    (process, routes, shared): (&Process, Routes, bool),
+    (process, routes, reception): (&Process, Routes, Reception),
     output: impl FnMut(recorder::Out) + 'static,
 ) -> Rc<Graph> {
     let trial = &Rc::new(trial.clone());
     let graph = Rc::new(Graph::new(trial, routes, process));
     wire_hosts(clock, trial, &graph, process);
-    wire_links(clock, trial, &graph, shared);
+    wire_links(clock, trial, &graph, reception);
     wire_recorder(clock, trial, &graph, output);
     injection::schedule(clock, trial, &graph);
     if let Some(until) = trial.until {

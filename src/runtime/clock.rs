@@ -13,6 +13,8 @@ use crate::time::Time;
 #[derive(Clone, Default)]
 pub struct Clock {
     now: Rc<Cell<Time>>,
+    /// Whether `now` is an earlier time for a while.
+    past: Rc<Cell<bool>>,
     queue: Rc<RefCell<Queue>>,
     steps: Rc<Cell<u64>>,
 }
@@ -75,6 +77,20 @@ impl Clock {
         self.now.get()
     }
 
+    /// Runs the function `inside` as of the earlier time `past`, which is the current time until it returns.
+    pub(super) fn as_of(&self, past: Time, inside: impl FnOnce()) {
+        let (now, before) = (self.now.replace(past), self.past.replace(true));
+        inside();
+        self.now.set(now);
+        self.past.set(before);
+    }
+
+    /// Returns whether something runs as of an earlier time.
+    #[inline]
+    pub(super) fn is_past(&self) -> bool {
+        self.past.get()
+    }
+
     /// Returns how many things the actors have done so far: messages that they handled, wake-ups, and scheduled calls.
     pub(crate) fn steps(&self) -> u64 {
         self.steps.get()
@@ -110,6 +126,13 @@ impl Clock {
         while let Some(run) = self.next_woken() {
             run();
         }
+    }
+
+    /// Runs a task at once, whether it is woken or not. It must not be the one that runs.
+    pub(super) fn run(&self, task: TaskId) {
+        let run = self.queue.borrow().tasks.get(task.0).map(|task| Rc::clone(&task.run));
+        // After the end of a run no task is left.
+        run.iter().for_each(|run| run());
     }
 
     fn next_woken(&self) -> Option<Rc<dyn Fn()>> {

@@ -27,6 +27,8 @@ const MAX_WAKES_AT_ONCE: usize = 64;
 
 enum Envelope<I> {
     Deliver(I),
+    /// Message that the actor handles as of the time at which it was left.
+    Left(Time, I),
     Inject(ActorFault),
     Recover,
 }
@@ -40,6 +42,10 @@ struct Slot<I> {
     queue: RefCell<VecDeque<Envelope<I>>>,
     /// Clock and task by which a message wakes the actor; empty until the actor is started.
     waker: OnceCell<(Clock, TaskId)>,
+    /// Whether the queue has messages that were left for the actor, which is not woken for them.
+    left: Cell<bool>,
+    /// Makes the actor before this one handle what was left for it; empty if no actor is before this one.
+    before: OnceCell<Box<dyn Fn()>>,
     refused: Cell<u64>,
     lost: Cell<u64>,
 }
@@ -57,6 +63,8 @@ impl<I> Mailbox<I> {
             name: name.into(),
             queue: RefCell::default(),
             waker: OnceCell::new(),
+            left: Cell::new(false),
+            before: OnceCell::new(),
             refused: Cell::new(0),
             lost: Cell::new(0),
         }))
@@ -72,8 +80,25 @@ impl<I> Mailbox<I> {
         self.post(Envelope::Deliver(input));
     }
 
+    /// Leaves a message in the mailbox without waking its actor, which handles it when it next runs, as of now. It is for
+    /// messages upon which an actor does nothing but remember, in a run in virtual time: what it puts out for them is
+    /// left in the mailboxes of others.
+    pub fn leave(&self, input: I) {
+        let (clock, _) = self.0.waker.get().expect("its actor was started");
+        clock.as_of(clock.now(), || self.send(input));
+    }
+
+    /// Makes the actor of `earlier` handle what was left for it, each time before the actor of this mailbox runs or gets
+    /// a fault.
+    pub fn runs_after<J: 'static>(&self, earlier: &Mailbox<J>) {
+        let earlier = Rc::downgrade(&earlier.0);
+        let settle = move || earlier.upgrade().iter().for_each(|slot| slot.settle());
+        assert!(self.0.before.set(Box::new(settle)).is_ok(), "{} runs after one other actor", self.name());
+    }
+
     /// Injects a fault, such as a crash or a delay, into the actor of this mailbox.
     pub fn inject(&self, fault: ActorFault) {
+        self.0.before.get().iter().for_each(|settle| settle());
         self.post(Envelope::Inject(fault));
     }
 
@@ -98,9 +123,17 @@ impl<I> Mailbox<I> {
         if queue.len() >= MAILBOX_CAPACITY {
             return self.refuse();
         }
-        queue.push_back(envelope);
-        if let Some((clock, actor)) = slot.waker.get() {
-            clock.wake(*actor);
+        match (slot.waker.get(), envelope) {
+            (Some((clock, _)), Envelope::Deliver(input)) if clock.is_past() => {
+                queue.push_back(Envelope::Left(clock.now(), input));
+                slot.left.set(true);
+            }
+            (waker, envelope) => {
+                queue.push_back(envelope);
+                if let Some((clock, actor)) = waker {
+                    clock.wake(*actor);
+                }
+            }
         }
     }
 
@@ -110,6 +143,15 @@ impl<I> Mailbox<I> {
 
     fn lose(&self, messages: usize) {
         self.0.lost.set(self.0.lost.get() + messages as u64);
+    }
+}
+
+impl<I> Slot<I> {
+    /// Makes the actor handle what was left for it.
+    fn settle(&self) {
+        if let (true, Some((clock, actor))) = (self.left.get(), self.waker.get()) {
+            clock.run(*actor);
+        }
     }
 }
 
@@ -170,6 +212,7 @@ pub fn start<C: Core + 'static>(
             if let Some(shell) = shell.upgrade() {
                 let (now, _inside) = (time.now(), span.enter());
                 let _guard = ExitOnPanic { name: name.name(), now };
+                name.0.before.get().iter().for_each(|settle| settle());
                 shell.borrow_mut().run(now);
             }
         }));
@@ -216,6 +259,7 @@ impl<C: Core + 'static> Shell<C> {
     /// Processes all messages in the mailbox, then timers and delayed inputs that are due. Messages after an injected
     /// crash are lost.
     fn run(&mut self, now: Time) {
+        self.mailbox.0.left.set(false);
         loop {
             let next = self.mailbox.0.queue.borrow_mut().pop_front();
             match next {
@@ -225,6 +269,13 @@ impl<C: Core + 'static> Shell<C> {
                     break;
                 }
                 Some(Envelope::Deliver(input)) => self.take_in(now, input),
+                Some(Envelope::Left(at, input)) => {
+                    let clock = self.clock.clone();
+                    clock.as_of(at, || {
+                        self.take_in(at, input);
+                        self.pass_on(at);
+                    });
+                }
                 Some(Envelope::Inject(fault)) => {
                     self.clock.count_step();
                     self.inject(now, &fault);
@@ -258,11 +309,16 @@ impl<C: Core + 'static> Shell<C> {
                 next = core.wake_at();
             }
         }
+        self.pass_on(now);
+        self.arm(now, next);
+    }
+
+    /// Passes on what the core has put out.
+    fn pass_on(&mut self, now: Time) {
         if !self.out.is_empty() {
             let muted = now < self.faults.mute;
             self.out.drain(..).filter(|_| !muted).for_each(&mut self.sink);
         }
-        self.arm(now, next);
     }
 
     /// Makes a new core, if the actor library has restarted the actor and the time of the injected crash is over.

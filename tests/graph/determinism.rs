@@ -8,7 +8,7 @@ use murmurate::hearing::CommRange;
 use murmurate::policy;
 use murmurate::report::TrialReport;
 use murmurate::simulate::Proceed;
-use murmurate::time::Time;
+use murmurate::time::{Span, Time};
 use murmurate::trial::Trial;
 
 /// Returns a trial that uses every source of random numbers.
@@ -78,4 +78,22 @@ fn events_have_the_time_of_their_own_instant() {
         },
     );
     assert!(report.finished && events > 1000, "{events} events");
+}
+
+#[test]
+fn a_run_is_the_same_whether_its_events_are_followed_or_not() {
+    for (mode, scenario, robots) in
+        [("offboard", "passage", 5), ("onboard-infra", "swap", 12), ("onboard-adhoc", "swap", 80)]
+    {
+        let trial = Trial::of_team(mode, scenario, robots).expect("a preset of a team of this size");
+        let mut trial = trial.seed(2).lasting(Span::from_millis(5000));
+        trial.deployment =
+            trial.deployment.impaired(Some(0.02), Some(0.16), Impair::All).expect("latents cross links there");
+        trial.range = Some(CommRange { mean_m: 2.0, std_m: 0.5 });
+        let alone = trial.run();
+        let followed = trial.run_observed(|_, _, _| {}, |_, _, _| Proceed::Continue);
+        assert_eq!(alone.totals.trace, followed.totals.trace, "{mode}, {robots} robots");
+        assert_eq!(alone.episodes, followed.episodes, "{mode}, {robots} robots");
+        assert_eq!(alone.totals.links, followed.totals.links, "{mode}, {robots} robots");
+    }
 }

@@ -204,3 +204,29 @@ fn a_panic_in_a_worker_ends_the_process_as_one_in_a_core_does() {
     assert!(said.contains("the worker of driver 3 broke an invariant"), "{said}");
     assert!(!said.contains("the process has ended"), "{said}");
 }
+
+#[test]
+fn what_is_left_is_handled_as_of_its_time_before_an_actor_that_runs_after_it() {
+    let said = Rc::new(RefCell::new(Vec::new()));
+    let build = |clock: &Clock| {
+        let (first, second) = (Mailbox::new("first"), Mailbox::new("second"));
+        second.runs_after(&first);
+        let (to, noted) = (second.clone(), Rc::clone(&said));
+        let make = |alarms: &'static [u64]| move |incarnation| Noting { incarnation, alarms: alarms.to_vec() };
+        // What the first actor puts out for what was left for it is left for the second.
+        start(clock, &first, tracing::Span::none(), make(&[]), move |Note(_, ms, number)| to.send(1000 * ms + number));
+        start(clock, &second, tracing::Span::none(), make(&[20]), move |note| noted.borrow_mut().push(note));
+        for (ms, number) in [(3, 1), (7, 2), (30, 3)] {
+            let first = first.clone();
+            clock.call(at(ms), Box::new(move || first.leave(number)));
+        }
+        let woken = first.clone();
+        clock.call(at(40), Box::new(move || woken.send(4)));
+        (first, second)
+    };
+    run_virtual(build, |_, _| false);
+    // The alarm makes the second actor take the first two; that of the first actor at 40 ms makes it take the third,
+    // which it leaves for the second as of 30 ms.
+    let expected = [Note(1, 3, 3001), Note(1, 7, 7002), Note(1, 20, 0), Note(1, 30, 30_003), Note(1, 40, 40_004)];
+    assert_eq!(&said.borrow()[..], &expected[..]);
+}
