@@ -432,6 +432,7 @@ impl Record {
             robots: participants,
             half_extent: [1.0; 2],
             walls: Vec::new(),
+            unlabelled: false,
             hull_m: 0.2,
             range_m: None,
             drawn: Vec::new(),

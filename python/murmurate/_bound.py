@@ -101,7 +101,8 @@ class Bound:
                 value = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|_", "-", self.class_name).lower()
             if field == "robots" and isinstance(value, int) and not isinstance(value, bool):
                 value = {"default": value, "least": value, "most": value}
-            if value is None and field in ("robots", "half_extent_m", "rules"):
+            is_ground = field == "half_extent_m" and getattr(self.scenario, "ground", None) is None
+            if value is None and (is_ground or field in ("robots", "rules")):
                 raise ValueError(f"{self.class_name}.{field}: it is missing; docs/tasks.md has the fields of a task")
             if value is not None:
                 lines.append(f"{field} = {_toml(value, f'{self.class_name}.{field}')}\n")

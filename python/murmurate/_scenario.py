@@ -58,9 +58,10 @@ class Scenario:
     """A task of yours: attributes with the names of the fields of a task file, and methods, all of which may be left out.
 
     Attributes of the class or of the instance are the fields of docs/tasks.md: ``name`` (left out, it is made of the name
-    of the class), ``about``, ``robots`` (a dict, or one number), ``half_extent_m``, ``hull_m``, ``walls``, ``obstacles``,
-    ``start`` and ``goal``, ``area``, ``exchange``, ``places``, ``rules``, ``reward`` (weights, where there is no method of
-    this name) and ``scripted_success``. Names of attributes of your own begin with ``_``, or are not like a field's.
+    of the class), ``about``, ``robots`` (a dict, or one number), ``half_extent_m`` or ``ground``, ``hull_m``, ``walls``,
+    ``obstacles``, ``start`` and ``goal``, ``area``, ``exchange``, ``places``, ``goals``, ``rules``, ``reward`` (weights,
+    where there is no method of this name) and ``scripted_success``. Names of attributes of your own begin with ``_``, or
+    are not like a field's.
 
     Methods get arrays of many environments and work on all of them together. A method must not change what it gets, nor
     keep anything in ``self``, and a row of its result must depend on the same row of its arguments alone.
@@ -75,6 +76,7 @@ class Scenario:
     about: ClassVar[str]
     robots: ClassVar[int | Mapping[str, int]]
     half_extent_m: ClassVar[Sequence[float]]
+    ground: ClassVar[Mapping[str, Any]]
     hull_m: ClassVar[float]
     walls: ClassVar[Sequence[Mapping[str, Any]]]
     obstacles: ClassVar[Sequence[Mapping[str, Any]]]
@@ -83,6 +85,7 @@ class Scenario:
     area: ClassVar[Mapping[str, Any]]
     exchange: ClassVar[Sequence[Mapping[str, Any]]]
     places: ClassVar[Sequence[Sequence[float]]]
+    goals: ClassVar[str]
     rules: ClassVar[Mapping[str, float]]
     scripted_success: ClassVar[float]
 
@@ -124,6 +127,7 @@ FIELDS = (
     "about",
     "robots",
     "half_extent_m",
+    "ground",
     "hull_m",
     "walls",
     "obstacles",
@@ -132,6 +136,7 @@ FIELDS = (
     "area",
     "exchange",
     "places",
+    "goals",
     "rules",
     "reward",
     "scripted_success",

@@ -45,11 +45,12 @@ impl Picture {
         let (width, height) = (pixels(half.x), pixels(half.y));
         let mut picture = Picture { width, height, pixels: GROUND.repeat(width * height), scale, half };
         for block in &arena.keep_outs {
-            picture.paint((block.min, block.max), WALL, |_| true);
+            picture.paint((block.min, block.max), WALL, |point| block.is_rect() || block.distance(point) == 0.0);
         }
         let radius_m = arena.robot_radius_m.max(LEAST / scale);
         for (index, robot) in environments.teams[team].range().enumerate() {
-            let colour = ROBOTS[index % ROBOTS.len()];
+            let unlabelled = environments.scenario(team).goals().are_unlabelled();
+            let colour = if unlabelled { WALL } else { ROBOTS[index % ROBOTS.len()] };
             if goals {
                 picture.ring(environments.tasks[robot].goal, (0.7 * radius_m, radius_m), colour);
             }

@@ -23,8 +23,8 @@ use crate::messages::local::{Action, NEAR_M, OtherRobot, Percept, Progress, Reme
 use crate::messages::round::RoundFollower;
 use crate::messages::wire::{Features, Latent, Mode, Phase, Round};
 use crate::observation::Observation;
-use crate::scenario::Scenario;
 use crate::scenario::layout::Layouts;
+use crate::scenario::{Scenario, goals};
 use crate::time::{Span, Time};
 
 /// Largest distance between a robot and its start at which the robot counts as ready for the episode \[m\].
@@ -33,6 +33,10 @@ pub const START_M: f32 = 0.05;
 /// Time from the start of a round (reset or episode) during which an Agent reports no robot as arrived, because its
 /// percept may still come from the round before.
 pub const SETTLING: Span = Span::from_millis(300);
+
+/// Time for which a robot has held an unlabelled goal before it reports that: longer than the reports of two robots are
+/// apart, so that there was an instant at which all held theirs once all have said so.
+const HELD: Span = Span::from_millis(500);
 
 /// Input message of an Agent, the actor that runs the policy of one or more robots.
 #[derive(Clone, Debug)]
@@ -276,16 +280,22 @@ impl Agent {
         let acts = matches!(slot.outcome, Outcome::Sound | Outcome::Silent);
         let act = || policy.act(&seen, &slot.features, &neighbours, &mut slot.policies.actions);
         let velocity = acts.then(act).unwrap_or_default();
-        let there = match phase {
-            Phase::Running => self.scenario.reached(&task, farther(own.position, task.goal, percept.deviation_m)),
-            _ => (task.goal - own.position).norm() <= START_M,
-        };
         let said = percept.heard.iter().filter(|heard| !percept.measures(heard.robot));
         let said = said.map(|heard| OtherRobot { robot: heard.robot, motion: heard.motion, age: heard.age });
         let known = said.chain(percept.measured.iter().copied());
         let beside = companions.map(|other| OtherRobot { robot: other.robot, motion: other.motion, age: Span::ZERO });
         let near = |other: &OtherRobot| (other.motion.position - own.position).norm_squared() <= NEAR_M * NEAR_M;
-        let (due, others) = (percept.due, known.chain(beside).filter(near).collect());
+        let others: Vec<OtherRobot> = known.chain(beside).filter(near).collect();
+        let due = percept.due;
+        let there = match phase {
+            Phase::Running if self.scenario.goals().are_unlabelled() => {
+                let holds = holds_goal(&*self.scenario, &self.team, percept, &others);
+                slot.held_since = holds.then(|| slot.held_since.unwrap_or(now));
+                slot.held_since.is_some_and(|since| now.since(since) >= HELD)
+            }
+            Phase::Running => self.scenario.reached(&task, farther(own.position, task.goal, percept.deviation_m)),
+            _ => (task.goal - own.position).norm() <= START_M,
+        };
         if acts {
             slot.acted(phase);
         }
@@ -311,6 +321,16 @@ impl Agent {
             progress: if there && settled { Progress::Reached } else { Progress::Underway },
         })
     }
+}
+
+/// Returns whether a robot is certainly at an unlabelled goal of the `team`, and nearer to it than all `others`.
+fn holds_goal(scenario: &dyn Scenario, team: &[Option<Task>], percept: &Percept, others: &[OtherRobot]) -> bool {
+    let goals = || team.iter().flatten().map(|task| task.goal);
+    let (position, arrival_m) = (percept.estimate.position, scenario.rules().arrival_m);
+    let Some(goal) = goals::goal_at(goals(), position, arrival_m).and_then(|at| goals().nth(at)) else { return false };
+    let from_m = |point: Vec2| (point - goal).norm();
+    from_m(farther(position, goal, percept.deviation_m)) <= arrival_m
+        && others.iter().all(|other| from_m(other.motion.position) > from_m(position))
 }
 
 /// Returns `position` moved away from `goal` by twice the position's standard deviation \[m\], so that arrival counts

@@ -14,6 +14,7 @@ use crate::messages::wire::{Heartbeat, Marks, Mode, MotorCommand, Phase, Stop};
 use crate::safety::filter;
 use crate::safety::guard::{Decision, Granted, Guard, SafetyCounts};
 use crate::safety::hardware::Permit;
+use crate::scenario::Goals;
 use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 
@@ -69,6 +70,8 @@ pub struct Config {
     pub signed: bool,
     /// Marks of the robot's host, for its heartbeats; 0 in simulations.
     pub marks: Marks,
+    /// To whom the goals of the scenario belong: arrival at one's own is for the rest of an episode.
+    pub goals: Goals,
 }
 
 /// Controller of one robot: an actor that passes the policy's actions through the robot's guard to its motors, and
@@ -160,8 +163,9 @@ impl Controller {
                 self.own = match (self.team, action.progress) {
                     (Phase::Resetting, Progress::Reached) => Phase::FinishedResetting,
                     (Phase::Resetting, Progress::Underway) => Phase::Resetting,
-                    // Arrival latches for the rest of the episode.
+                    // Arrival latches for the rest of the episode, unless another robot may need the goal.
                     (_, Progress::Reached) => Phase::FinishedRunning,
+                    (Phase::Running, Progress::Underway) if self.config.goals.are_unlabelled() => Phase::Running,
                     (_, Progress::Underway) => self.own,
                 };
                 self.command(granted, out);
@@ -296,6 +300,7 @@ mod tests {
             phase: Span::ZERO,
             signed: false,
             marks: Marks::default(),
+            goals: Goals::Labelled,
         })
     }
 
@@ -475,6 +480,9 @@ mod tests {
         commanded(&mut controller, action(0, Phase::Running, 1.0, Progress::Reached));
         commanded(&mut controller, action(0, Phase::Running, 1.0, Progress::Underway));
         assert_eq!(controller.own, Phase::FinishedRunning);
+        controller.config.goals = Goals::Unlabelled;
+        commanded(&mut controller, action(0, Phase::Running, 1.0, Progress::Underway));
+        assert_eq!(controller.own, Phase::Running, "another robot may need the goal");
     }
 
     /// Runs the cores of one robot, tick by tick: the same stamp keeps arriving, and the robot stops in time.
@@ -497,8 +505,7 @@ mod tests {
         };
         let mut cache = Cache::new(config, Seed::of_run(0).stream("cache"));
         let (safety, half_extent, clamp) = (Safety::deployed(), Vec2::new(2.0, 3.0), Clamp::Training);
-        let walls = Arc::default();
-        let guard = filter::Settings { safety, half_extent, walls, limit_m_s: 1.5, clamp, period };
+        let guard = filter::Settings { safety, half_extent, walls: Arc::default(), limit_m_s: 1.5, clamp, period };
         let mut controller = Controller::new(Config {
             robot,
             guard,
@@ -506,6 +513,7 @@ mod tests {
             phase: Span::ZERO,
             signed: false,
             marks: Marks::default(),
+            goals: Goals::Labelled,
         });
         let task = Task { start: Vec2::zeros(), goal: Vec2::x() };
         let (phase, tasks, latch) = (Phase::Running, [task].into(), Latch::default());

@@ -248,6 +248,7 @@ fn wire_controller(clock: &Clock, trial: &Trial, graph: &Graph, robot: RobotId, 
         phase: phase(trial, "controller", robot, controller::HEARTBEAT_PERIOD),
         signed: graph.signed,
         marks: graph.marks,
+        goals: trial.scenario.goals(),
     };
     let (network, status) = (graph.network_of(host), graph.status_of(host));
     let events = Rc::clone(&graph.events);

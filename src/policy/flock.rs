@@ -76,7 +76,7 @@ struct Flock {
 
 /// Returns the acceleration \[m/s²\] that the potential of another robot gives a robot; `offset` is the position of the
 /// robot minus that of the other \[m\].
-fn repulsion(offset: Vec2) -> Vec2 {
+pub fn repulsion(offset: Vec2) -> Vec2 {
     let distance = offset.norm();
     if distance >= RANGE_M || distance == 0.0 {
         return Vec2::zeros();
@@ -105,7 +105,7 @@ impl Policy for Flock {
 
 /// Returns the velocity to command \[m/s\] for a robot that moves at `velocity` \[m/s\] and is to accelerate by
 /// `wanted` \[m/s²\], limited along each axis, for one period.
-pub(crate) fn accelerated(velocity: Vec2, wanted: Vec2, period: Span) -> Vec2 {
+pub fn accelerated(velocity: Vec2, wanted: Vec2, period: Span) -> Vec2 {
     let limited = wanted.map(|axis| axis.clamp(-MAX_ACCELERATION_M_S2, MAX_ACCELERATION_M_S2));
     velocity + limited * period.as_secs() as f32
 }

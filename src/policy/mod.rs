@@ -4,6 +4,7 @@
 //! that the crate makes. A policy works in the policy frame only: the world frame, or the world frame turned by half a
 //! turn. The code of this folder uses no network, actor or clock.
 
+mod claim;
 pub mod failures;
 pub mod file;
 pub mod flock;
@@ -224,6 +225,11 @@ pub const REGISTRY: &[Entry] = &[
     },
     Entry { name: SCRIPTED, about: "scripted navigation by message passing", build: orca },
     Entry {
+        name: claim::NAME,
+        about: "scripted navigation to goals that robots claim by messages (for unlabelled goals)",
+        build: claim::model,
+    },
+    Entry {
         name: flock::GLOBAL,
         about: "scripted flocking; each robot knows all others (for scenarios without goals)",
         build: |scenario| flock::model(scenario, flock::Sight::All),
@@ -251,7 +257,11 @@ fn orca(scenario: &dyn Scenario) -> Result<Model, ModelError> {
 
 /// Returns the name of the scripted policy of this crate that works in `scenario` with what a robot hears.
 pub fn scripted(scenario: &dyn Scenario) -> &'static str {
-    if scenario.cost().is_some() { flock::LOCAL } else { SCRIPTED }
+    match scenario.cost() {
+        Some(_) => flock::LOCAL,
+        None if scenario.goals().are_unlabelled() => claim::NAME,
+        None => SCRIPTED,
+    }
 }
 
 /// Returns a network with random weights, for tests and benchmarks, of the architecture published with the paper arXiv

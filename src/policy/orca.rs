@@ -19,7 +19,7 @@ use super::{Interface, Neighbour, Policy};
 use crate::messages::geometry::{Motion, Vec2};
 use crate::observation::Observation;
 use crate::random::Stream;
-use crate::scenario::Arena;
+use crate::scenario::{Arena, KeepOut};
 use crate::time::Span;
 
 /// Number of floats of a broadcast: radius and preferred velocity.
@@ -103,10 +103,9 @@ impl Orca {
     /// frame, and the robots' radius.
     pub(crate) fn new(arena: &Arena) -> Orca {
         let corner = |x: f32, y: f32| dodgy_2d::Vec2::new(x, y);
-        let block = |min: Vec2, max: Vec2| Obstacle::Closed {
-            // Counter-clockwise vertices: solid inside.
-            vertices: vec![corner(min.x, min.y), corner(max.x, min.y), corner(max.x, max.y), corner(min.x, max.y)],
-        };
+        // Counter-clockwise vertices: solid inside. Those about a disc are where paths would turn that touch it.
+        let rim = |block: &KeepOut| if block.radius_m() > 0.0 { block.turns(0.0) } else { block.corners().collect() };
+        let block = |block: &KeepOut| Obstacle::Closed { vertices: rim(block).into_iter().map(to_glam).collect() };
         let share = route::share(arena);
         let reach = arena.half_extent + Vec2::repeat(arena.robot_radius_m + share * WALL_MARGIN_M);
         // Clockwise vertices: solid outside. The world clamps robots to the ground, at times into another robot.
@@ -119,7 +118,7 @@ impl Orca {
                 corner(reach.x, -reach.y),
             ],
         };
-        let blocks = arena.keep_outs.iter().map(|keep_out| block(keep_out.min, keep_out.max));
+        let blocks = arena.keep_outs.iter().map(block);
         let obstacles = blocks.chain([ground]).collect();
         Orca { arena: arena.clone(), share, obstacles, roadmap: Roadmap::new(arena) }
     }

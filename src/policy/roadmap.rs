@@ -39,7 +39,7 @@ impl Roadmap {
             .iter()
             .enumerate()
             .flat_map(|(index, &Portal { near, far })| [near, far].map(|at| Place { at, mouth_of: Some(index) }));
-        let corners = arena.keep_outs.iter().flat_map(|block| corners(arena, block));
+        let corners = arena.keep_outs.iter().flat_map(|block| turns(arena, block));
         let places: Vec<Place> = mouths.chain(corners.map(|at| Place { at, mouth_of: None })).collect();
         let mut map = Roadmap { arena: arena.clone(), ways: Vec::new(), places };
         let all = 0..map.places.len();
@@ -86,7 +86,7 @@ impl Roadmap {
         let outside = self.arena.keep_outs.iter().filter(|block| block.distance(from) > 0.0);
         outside.into_iter().all(|block| {
             let ends = block.distance(from).min(block.distance(to));
-            let passes = corners_at(block, 0.0).into_iter().map(|corner| distance(from, to, corner));
+            let passes = block.corners().map(|corner| distance(from, to, corner) - block.radius_m());
             !block.blocks(from, to, 0.0) && passes.fold(ends, f32::min) >= margin_m(&self.arena).min(ends - BESIDE_M)
         })
     }
@@ -111,11 +111,10 @@ impl Roadmap {
     }
 }
 
-/// Returns the points \[m\] at which paths turn around `block`: its corners, at the clearance that paths keep. Those at
-/// which no robot can be and those within a bottleneck are left out.
-fn corners(arena: &Arena, block: &KeepOut) -> impl Iterator<Item = Vec2> {
-    let block = *block;
-    corners_at(&block, margin_m(arena) + BESIDE_M).into_iter().filter(move |corner| {
+/// Returns the points \[m\] at which paths turn around `block`, at the clearance that paths keep. Those at which no
+/// robot can be and those within a bottleneck are left out.
+fn turns<'a>(arena: &'a Arena, block: &'a KeepOut) -> impl Iterator<Item = Vec2> + 'a {
+    block.turns(margin_m(arena) + BESIDE_M).into_iter().filter(move |corner| {
         let within = |portal: &Portal| {
             let along = portal.far - portal.near;
             let share = (corner - portal.near).dot(&along) / along.norm_squared();
@@ -126,12 +125,6 @@ fn corners(arena: &Arena, block: &KeepOut) -> impl Iterator<Item = Vec2> {
         };
         arena.admits(*corner) && !arena.portals.iter().any(within)
     })
-}
-
-/// Returns the corners \[m\] of `block` enlarged by `margin_m` \[m\] on each side.
-fn corners_at(block: &KeepOut, margin_m: f32) -> [Vec2; 4] {
-    let [low, high] = [block.min.add_scalar(-margin_m), block.max.add_scalar(margin_m)];
-    [low, Vec2::new(high.x, low.y), high, Vec2::new(low.x, high.y)]
 }
 
 /// Returns the distance \[m\] of `point` from the straight line between `from` and `to` \[m\].
@@ -160,7 +153,7 @@ mod tests {
     use crate::world::{Physics, kinematic};
 
     fn arena(half: f32, blocks: &[[f32; 4]]) -> Arena {
-        let block = |&[x, y, far_x, far_y]: &[f32; 4]| KeepOut { min: Vec2::new(x, y), max: Vec2::new(far_x, far_y) };
+        let block = |&[x, y, far_x, far_y]: &[f32; 4]| KeepOut::rect(Vec2::new(x, y), Vec2::new(far_x, far_y));
         let keep_outs = blocks.iter().map(block).collect();
         Arena { half_extent: Vec2::repeat(half), keep_outs, portals: Vec::new(), robot_radius_m: 0.25 }
     }

@@ -5,6 +5,7 @@
 
 pub mod clock;
 pub mod drive;
+mod mailbox;
 #[cfg(any(test, not(target_os = "linux")))]
 mod poll;
 pub mod real;

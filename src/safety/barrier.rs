@@ -108,9 +108,11 @@ fn nearest_pair(from: Vec2, until: Vec2, block: &KeepOut) -> (Vec2, Vec2) {
         let inside = block.nearest(until);
         return (inside, inside);
     }
-    let corners = [block.min, Vec2::new(block.max.x, block.min.y), block.max, Vec2::new(block.min.x, block.max.y)];
     let ends = [from, until].map(|end| (end, block.nearest(end)));
-    let others = corners.map(|corner| (nearest_on(from, until, corner), corner));
+    let others = block.corners().map(|corner| {
+        let point = nearest_on(from, until, corner);
+        (point, if block.is_rect() { corner } else { block.nearest(point) })
+    });
     let length = |pair: &(Vec2, Vec2)| (pair.0 - pair.1).norm_squared();
     ends.into_iter().chain(others).fold(ends[0], |best, pair| if length(&pair) < length(&best) { pair } else { best })
 }
@@ -149,7 +151,7 @@ mod tests {
 
     #[test]
     fn a_wall_is_met_at_its_nearest_point() {
-        let block = KeepOut { min: Vec2::new(0.5, -0.15), max: Vec2::new(2.0, 0.15) };
+        let block = KeepOut::rect(Vec2::new(0.5, -0.15), Vec2::new(2.0, 0.15));
         let limit = barrier().wall(&motion(0.0, 0.2), &block);
         assert!((limit.along - Vec2::x()).norm() < 1e-6 && (limit.most_m_s - 2.0).abs() < 1e-4, "{limit:?}");
         let past = Motion { position: Vec2::new(0.2, -0.45), velocity: Vec2::new(0.0, 0.1) };

@@ -229,7 +229,7 @@ mod tests {
 
     #[test]
     fn a_robot_that_gives_way_keeps_its_distance_from_a_wall() {
-        let walls = Arc::from([KeepOut { min: Vec2::new(-2.0, -1.0), max: Vec2::new(2.0, 0.0) }]);
+        let walls = Arc::from([KeepOut::rect(Vec2::new(-2.0, -1.0), Vec2::new(2.0, 0.0))]);
         let mut filter = Filter::new(settings(0.2, walls));
         let (mut robot, mut least_m) = (Motion::at_rest(Vec2::new(0.0, 0.3)), f32::INFINITY);
         for _ in 0..60 {
@@ -243,7 +243,7 @@ mod tests {
 
     #[test]
     fn a_robot_that_follows_at_once_turns_no_nearer_around_a_corner() {
-        let walls: Arc<[KeepOut]> = Arc::from([KeepOut { min: Vec2::new(-2.0, -0.15), max: Vec2::new(-0.5, 0.15) }]);
+        let walls: Arc<[KeepOut]> = Arc::from([KeepOut::rect(Vec2::new(-2.0, -0.15), Vec2::new(-0.5, 0.15))]);
         let mut least_m = f32::INFINITY;
         for (start, slope) in (0..8).flat_map(|start| (0..12).map(move |slope| (start as f32, slope as f32))) {
             let mut filter = Filter::new(settings(0.0, Arc::clone(&walls)));

@@ -1,19 +1,11 @@
 //! The arena of a scenario: ground, solid blocks (walls) and the bottlenecks between them. All points of an arena are
 //! in the same frame, usually the world frame.
 
-use crate::messages::geometry::{Planar, Vec2};
+use super::block::KeepOut;
+use crate::messages::geometry::Vec2;
 
 /// Radius of a robot's hull, as a share of the radius that is kept free about its centre.
 const HULL_PER_ROOM: f32 = 0.64;
-
-/// Solid, axis-aligned rectangular block in an arena, such as a part of a wall.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct KeepOut {
-    /// Corner with the smallest x and y \[m\], world frame.
-    pub min: Vec2,
-    /// Corner with the largest x and y \[m\], world frame.
-    pub max: Vec2,
-}
 
 /// Bottleneck between blocks that one robot at a time can pass, along the straight line between its two ends (mouths).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,46 +29,6 @@ pub struct Arena {
     /// Radius that is kept free about each robot's centre \[m\], as in the paper authors' published environment: more
     /// than that of its hull (`Arena::hull_m`).
     pub robot_radius_m: f32,
-}
-
-impl KeepOut {
-    /// Returns smallest x and y, then largest x and y of the block \[m\], world frame.
-    pub fn corners(&self) -> [f32; 4] {
-        [self.min.x, self.min.y, self.max.x, self.max.y]
-    }
-
-    /// Returns the distance from `point` \[m\], world frame, to the block \[m\]; zero inside the block.
-    pub(crate) fn distance(&self, point: Vec2) -> f32 {
-        (point - self.nearest(point)).norm()
-    }
-
-    /// Returns the point of the block that is nearest to `point`, both \[m\] in the world frame; `point` itself if it
-    /// is inside.
-    pub fn nearest(&self, point: Vec2) -> Vec2 {
-        point.sup(&self.min).inf(&self.max)
-    }
-
-    /// Returns true if the straight line from `from` to `to` \[m\] intersects the block enlarged by `margin_m` \[m\] on
-    /// each side.
-    pub(crate) fn blocks(&self, from: Vec2, to: Vec2, margin_m: f32) -> bool {
-        // Slab method: the part of the line that is inside the enlarged block along both axes.
-        let (mut enter, mut leave) = (0.0f32, 1.0f32);
-        for axis in 0..2 {
-            let [min, max, from, to] = [self.min, self.max, from, to].map(|point| point.to_array()[axis]);
-            let (low, high) = (min - margin_m, max + margin_m);
-            let (at, step) = (from, to - from);
-            if step.abs() < 1e-9 {
-                if at <= low || at >= high {
-                    return false;
-                }
-            } else {
-                let (a, b) = ((low - at) / step, (high - at) / step);
-                enter = enter.max(a.min(b));
-                leave = leave.min(a.max(b));
-            }
-        }
-        enter < leave
-    }
 }
 
 impl Arena {
@@ -114,15 +66,5 @@ mod tests {
     fn the_hull_of_the_published_robots_is_that_of_the_paper() {
         let arena = Arena { half_extent: Vec2::zeros(), keep_outs: vec![], portals: vec![], robot_radius_m: 0.25 };
         assert_eq!(arena.hull_m(), crate::scenario::size::HULL_M);
-    }
-
-    #[test]
-    fn a_block_intersects_the_lines_that_come_within_the_margin() {
-        let block = KeepOut { min: Vec2::new(0.5, -0.15), max: Vec2::new(2.0, 0.15) };
-        assert!(block.blocks(Vec2::new(1.0, -1.0), Vec2::new(1.0, 1.0), 0.0));
-        assert!(!block.blocks(Vec2::new(0.0, -1.0), Vec2::new(0.0, 1.0), 0.25));
-        assert!(block.blocks(Vec2::new(0.3, -1.0), Vec2::new(0.3, 1.0), 0.25));
-        assert!(!block.blocks(Vec2::new(1.0, -1.0), Vec2::new(-1.0, -1.0), 0.25));
-        assert!((block.distance(Vec2::new(0.2, 0.55)) - 0.5).abs() < 1e-6);
     }
 }

@@ -1,9 +1,10 @@
 //! The judge of an episode, which turns the states of the robots, step by step, into one verdict.
 //!
 //! An episode succeeds if every robot arrives in time, no two robots come nearer than the rules allow, and no robot
-//! touches a wall. Distances between robots are those of their centres. A robot has arrived once the point that its
-//! policy commands has been at the goal. Judging ends with the last arrival or at the time limit; later states do not
-//! count. The code does no I/O, and the Recorder (an actor) and the trainer both use it.
+//! touches a wall. Where goals are unlabelled, robots arrive all at once: when every goal has a robot. Distances
+//! between robots are those of their centres. A robot has arrived once the point that its policy commands has been at
+//! the goal. Judging ends with the last arrival or at the time limit; later states do not count. The code does no I/O,
+//! and the Recorder (an actor) and the trainer both use it.
 //!
 //! In a scenario without goals no robot arrives: judging ends at the time limit, and the result is the mean cost of all
 //! steps, with collisions.
@@ -15,6 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Rules;
 use super::cost::{Cost, MeanCost};
+use super::goals::{self, Goals};
 use crate::cells::{self, Cells};
 use crate::messages::geometry::{Motion, Vec2};
 use crate::messages::ids::RobotId;
@@ -96,6 +98,9 @@ pub struct Judgement {
 pub struct Judge {
     rules: Rules,
     goals: Vec<Vec2>,
+    labels: Goals,
+    /// Unlabelled goal at which each robot is.
+    at: Vec<Option<usize>>,
     arrived: Vec<bool>,
     failure: Option<Verdict>,
     min_separation_m: f32,
@@ -107,8 +112,14 @@ impl Judge {
     /// Makes the judge of an episode with criteria `rules` and the robots' `goals` \[m\], world frame, in the order of
     /// robot ids.
     pub fn new(rules: Rules, goals: Vec<Vec2>) -> Judge {
-        let (arrived, min_separation_m) = (vec![false; goals.len()], f32::INFINITY);
-        Judge { rules, arrived, goals, failure: None, min_separation_m, cost: None }
+        let (arrived, at, min_separation_m) = (vec![false; goals.len()], vec![None; goals.len()], f32::INFINITY);
+        let labels = Goals::Labelled;
+        Judge { rules, goals, labels, at, arrived, failure: None, min_separation_m, cost: None }
+    }
+
+    /// Returns the judge for goals that belong to whom `labels` says.
+    pub fn with_goals(self, labels: Goals) -> Judge {
+        Judge { labels, ..self }
     }
 
     /// Returns the judge with this cost: with one the goals do not count, and the episode ends by time. `None` changes
@@ -136,7 +147,8 @@ impl Judge {
         self.process(after, &states, |at| robots[at].0.index())
     }
 
-    /// Returns whether each robot has arrived, in the order of robot ids.
+    /// Returns whether each robot has arrived, in the order of robot ids; where goals are unlabelled, whether every
+    /// goal has a robot.
     pub(crate) fn arrived(&self) -> &[bool] {
         &self.arrived
     }
@@ -166,7 +178,18 @@ impl Judge {
         }
         for (at, robot) in robots.iter().enumerate() {
             let at = index(at);
-            self.arrived[at] |= (self.goals[at] - robot.point).norm() <= self.rules.arrival_m;
+            match self.labels {
+                Goals::Labelled => {
+                    self.arrived[at] |= (self.goals[at] - robot.point).norm() <= self.rules.arrival_m;
+                }
+                Goals::Unlabelled => {
+                    self.at[at] = goals::goal_at(self.goals.iter().copied(), robot.point, self.rules.arrival_m);
+                }
+            }
+        }
+        if self.labels.are_unlabelled() {
+            let held = goals::held(self.goals.len(), self.at.iter().copied());
+            self.arrived.fill(held.into_iter().all(|held| held));
         }
         let all_arrived = self.arrived.iter().all(|&arrived| arrived);
         if !all_arrived && after < self.rules.limit {
@@ -242,6 +265,16 @@ mod tests {
         assert_eq!(judge.update(Span::from_millis(50), &[seen(0.2), seen(4.0)]), None);
         let finding = judge.update(Span::from_millis(100), &[seen(1.0), seen(4.8)]).unwrap();
         assert_eq!((finding.verdict, finding.after), (Verdict::Success, Span::from_millis(100)));
+    }
+
+    #[test]
+    fn unlabelled_goals_are_reached_by_any_robots_at_one_instant() {
+        let mut judge = judge().with_goals(Goals::Unlabelled);
+        assert_eq!(judge.update(Span::from_millis(50), &[seen(4.8), seen(4.0)]), None);
+        assert_eq!(judge.update(Span::from_millis(100), &[seen(4.0), seen(0.0)]), None, "one has left its goal");
+        assert_eq!(judge.update(Span::from_millis(150), &[seen(0.2), seen(-0.2)]), None, "both are at one goal");
+        let finding = judge.update(Span::from_millis(200), &[seen(5.2), seen(0.2)]).expect("each goal has a robot");
+        assert_eq!((finding.verdict, finding.after), (Verdict::Success, Span::from_millis(200)));
     }
 
     #[test]

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use serde::Deserialize;
 
-use super::{Arena, KeepOut, Scenario};
+use super::{Arena, KeepOut, Scenario, Solid};
 use crate::config;
 use crate::config::shown::counted;
 use crate::messages::geometry::{Task, Vec2, is_finite};
@@ -143,10 +143,9 @@ impl Layouts {
         self.arenas.get(episode as usize)
     }
 
-    /// Returns the solid blocks of each episode: smallest x and y, then largest x and y \[m\], world frame. Empty if
-    /// all episodes have the arena of the scenario.
-    pub fn drawn_blocks(&self) -> Vec<Vec<[f32; 4]>> {
-        self.arenas.iter().map(|arena| arena.keep_outs.iter().map(KeepOut::corners).collect()).collect()
+    /// Returns the shapes of the solid blocks of each episode. Empty if all episodes have the arena of the scenario.
+    pub fn drawn_blocks(&self) -> Vec<Vec<Solid>> {
+        self.arenas.iter().map(|arena| arena.keep_outs.iter().map(KeepOut::solid).collect()).collect()
     }
 
     /// Returns true if every robot's start in an episode is its goal in the previous episode (within 1 mm), so that

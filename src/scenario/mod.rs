@@ -5,12 +5,16 @@
 //! folder uses no policy, network or actor. `task_file` makes scenarios from data.
 
 pub mod arena;
+mod block;
 pub mod contract;
 pub(crate) mod cost;
+mod error;
 mod flocking;
+pub mod goals;
 pub mod judge;
 pub mod layout;
 mod passage;
+mod polygon;
 pub mod sightings;
 pub mod size;
 mod swap;
@@ -21,13 +25,15 @@ mod weights;
 use std::fmt::{self, Debug};
 use std::sync::Arc;
 
-pub use arena::{Arena, KeepOut, Portal};
+pub use arena::{Arena, Portal};
+pub use block::{KeepOut, Solid};
 pub use cost::Cost;
+pub use error::ScenarioError;
+pub use goals::Goals;
 pub use size::Size;
 pub use task_file::TaskFile;
 pub use weights::Weights;
 
-use crate::config::ConfigError;
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
 use crate::observation::{Channel, Observation, PolicyFrame};
@@ -96,6 +102,15 @@ pub trait Scenario: Debug + Send + Sync {
     /// scenario has no goals (`cost`), or a task's behaviour draws its layouts (`TaskFile::draws_apart`).
     /// Robots are then placed at their starts where a world simulates them.
     fn tasks(&self, seed: u64, episode: u32) -> Vec<Task>;
+
+    /// Returns to whom the goals of the tasks belong. The default is that each robot has its own.
+    ///
+    /// If the goals are unlabelled, the tasks have them in an order that means nothing, and an episode succeeds once
+    /// every goal has a robot. The start of a robot in the next episode is the goal of its task all the same. The
+    /// scenario then has the channel `goals::channel`.
+    fn goals(&self) -> Goals {
+        Goals::Labelled
+    }
 
     /// Returns the cost by which an episode is judged, in a scenario without goals. Its episodes end by time,
     /// `Rules::limit`, and their verdict is the cost, with collisions. `None`, the default, means that each robot has
@@ -166,10 +181,16 @@ pub trait Scenario: Debug + Send + Sync {
         }
     }
 
-    /// Writes into `reached` for each robot of a team whether it has arrived, by the method `reached`. All slices are
-    /// in the order of robot ids; `position` is in \[m\], world frame. The trainer calls this method once per team and
-    /// step.
+    /// Writes into `reached` for each robot of a team whether it has arrived: by the method `reached` or, where goals
+    /// are unlabelled, all at once when every goal has a robot. All slices are in the order of robot ids; `position` is
+    /// in \[m\], world frame. The trainer calls this method once per team and step.
     fn arrivals(&self, tasks: &[Task], position: &[Vec2], reached: &mut [bool]) {
+        if self.goals().are_unlabelled() {
+            let goals = || tasks.iter().map(|task| task.goal);
+            let at = position.iter().map(|point| goals::goal_at(goals(), *point, self.rules().arrival_m));
+            let all = goals::held(tasks.len(), at).into_iter().all(|held| held);
+            return reached.fill(all);
+        }
         for ((task, position), reached) in tasks.iter().zip(position).zip(reached) {
             *reached = self.reached(task, *position);
         }
@@ -182,7 +203,19 @@ pub trait Scenario: Debug + Send + Sync {
         if self.cost().is_none() { (task.goal - position).norm() } else { 0.0 }
     }
 
-    /// Returns the success rate, 0 to 1, that scripted navigation (the policy `orca`) must reach with the scenario's
+    /// Writes the length \[m\] of the remaining path of each robot of a team at `position` \[m\] into `to_go_m`, by the
+    /// method `distance_to_go`. Unlabelled goals are those of the assignment with the least sum of squared lengths. All
+    /// slices are in the order of robot ids.
+    fn distances_to_go(&self, tasks: &[Task], position: &[Vec2], to_go_m: &mut [f32]) {
+        if self.goals().are_unlabelled() {
+            return goals::shared_out(to_go_m, |robot, goal| self.distance_to_go(&tasks[goal], position[robot]));
+        }
+        for ((task, position), to_go_m) in tasks.iter().zip(position).zip(to_go_m) {
+            *to_go_m = self.distance_to_go(task, *position);
+        }
+    }
+
+    /// Returns the success rate, 0 to 1, that the scripted policy (`policy::scripted`) must reach with the scenario's
     /// default team in mode `sim`. The test `tests/graph/contracts.rs` requires it of scenarios with goals.
     fn scripted_success(&self) -> f64 {
         0.9
@@ -293,92 +326,6 @@ pub const REGISTRY: &[Entry] = &[
     },
     Entry { name: "swap", about: "robots exchange places on open ground of constant density", build: swap::build },
 ];
-
-/// Error of a scenario that cannot be made from its name and settings.
-#[derive(Debug, thiserror::Error)]
-pub enum ScenarioError {
-    /// There is no scenario with the requested name.
-    #[error("there is no scenario '{name}'; there are: {known}")]
-    Unknown {
-        /// Name of the requested scenario.
-        name: String,
-        /// Names of the existing scenarios, separated by commas.
-        known: String,
-    },
-    /// The scenario does not support the requested number of robots.
-    #[error("the scenario '{scenario}' takes {sizes}, not {robots}")]
-    Robots {
-        /// Name of the scenario.
-        scenario: String,
-        /// Numbers of robots that the scenario supports.
-        sizes: TeamSizes,
-        /// Number of robots that was requested.
-        robots: usize,
-    },
-    /// The scenario does not support the requested width of its bottleneck, or has no bottleneck.
-    #[error("the scenario '{scenario}' has no gap of {gap_m} m{hint}")]
-    Gap {
-        /// Name of the scenario.
-        scenario: String,
-        /// Width of the bottleneck that was requested \[m\].
-        gap_m: f32,
-        /// Supported widths, or the reason why there are none; a text that ends the error message.
-        hint: &'static str,
-    },
-    /// The scenario does not support the requested scale, hull or width of its bottleneck.
-    #[error("the scenario '{scenario}' {why}")]
-    Size {
-        /// Name of the scenario.
-        scenario: String,
-        /// Name of the setting: `scale`, `hull_m` or `gap_m`.
-        field: &'static str,
-        /// Supported values, or the reason why there are none; a text that ends the error message.
-        why: String,
-    },
-    /// The scenario refuses its settings for a reason that the other errors do not cover.
-    #[error("the scenario '{scenario}': {why}")]
-    Refused {
-        /// Name of the scenario.
-        scenario: String,
-        /// Reason of the refusal, for the user.
-        why: String,
-    },
-    /// A task file cannot be read.
-    #[error("{0}")]
-    Unreadable(String),
-    /// The text of a task file is none of a task.
-    #[error("the task file '{file}': {why}")]
-    Unread {
-        /// Path of the file, as it was given.
-        file: String,
-        /// Description of the fault.
-        why: String,
-    },
-    /// A field of a task file is wrong, or cannot be with the others and with the settings.
-    #[error("the task '{scenario}': {error}")]
-    TaskFile {
-        /// Name of the task.
-        scenario: String,
-        /// Error that names the field.
-        error: ConfigError,
-    },
-}
-
-impl ScenarioError {
-    /// Returns the name of the setting that is wrong: `scenario`, `robots`, `gap_m`, `scale` or `hull_m`.
-    pub fn field(&self) -> &'static str {
-        match self {
-            ScenarioError::Robots { .. } => "robots",
-            ScenarioError::Gap { .. } => "gap_m",
-            ScenarioError::Size { field, .. } => field,
-            ScenarioError::Unknown { .. }
-            | ScenarioError::Refused { .. }
-            | ScenarioError::Unreadable(_)
-            | ScenarioError::Unread { .. }
-            | ScenarioError::TaskFile { .. } => "scenario",
-        }
-    }
-}
 
 /// Makes the scenario of this crate that has the name `name`, with a user's `settings`. `Registry::scenario` also knows
 /// the scenarios of other crates. An error says that the name is unknown or a setting not supported.

@@ -106,8 +106,8 @@ impl Passage {
     fn new(robots: usize, gap_m: f32, size: Size) -> Passage {
         let (half, wall_half, radius) = (gap_m / 2.0, size.length(WALL_HALF_M), size.robot_radius_m());
         let half_extent = HALF_EXTENT * size.scale;
-        let right = KeepOut { min: Vec2::new(half, -wall_half), max: Vec2::new(half_extent.x, wall_half) };
-        let left = KeepOut { min: -right.max, max: -right.min };
+        let right = KeepOut::rect(Vec2::new(half, -wall_half), Vec2::new(half_extent.x, wall_half));
+        let left = KeepOut::rect(-right.max, -right.min);
         let mouth = Vec2::new(0.0, wall_half + 2.0 * radius);
         let arena = Arena {
             half_extent,

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::judge::{Judge, JudgedRobot, Judgement, Verdict};
 use super::task_file::{Behaviour, EpisodeStep};
 use super::{Scenario, TaskFile};
-use crate::messages::geometry::Task;
+use crate::messages::geometry::{Task, Vec2};
 use crate::time::Span;
 
 /// Judge of a running episode: by the rules of the scenario, and by the behaviour of its task, if that judges.
@@ -24,7 +24,7 @@ impl EpisodeJudge {
         let rules = Judge::new(scenario.rules(), tasks.iter().map(|task| task.goal).collect());
         let watched = behaviour(&**scenario).filter(|behaviour| behaviour.judges());
         let watched = watched.map(|_| Watched::begun(scenario, (repeat, episode), tasks.to_vec()));
-        EpisodeJudge { rules: rules.with_cost(scenario.cost()), watched }
+        EpisodeJudge { rules: rules.with_cost(scenario.cost()).with_goals(scenario.goals()), watched }
     }
 
     /// Processes the true states of all robots at one step, as `Judge::update` does. An episode that the behaviour of
@@ -61,9 +61,10 @@ impl Onlooker {
     /// Returns what the robots observe at a step; `None` before the first episode.
     pub(crate) fn look(&mut self, after: Span, robots: &[JudgedRobot]) -> Option<Vec<f32>> {
         let Onlooker { scenario, watched: Some(watched), arrived } = self else { return None };
-        for ((arrived, task), robot) in arrived.iter_mut().zip(&watched.tasks).zip(robots) {
-            *arrived |= scenario.reached(task, robot.point);
-        }
+        let points: Vec<Vec2> = robots.iter().map(|robot| robot.point).collect();
+        let mut reached = vec![false; points.len()];
+        scenario.arrivals(&watched.tasks, &points, &mut reached);
+        arrived.iter_mut().zip(reached).for_each(|(arrived, reached)| *arrived |= reached);
         Some(watched.at(after, robots, arrived, |of, step| of.observe(step)))
     }
 }
@@ -88,6 +89,13 @@ impl Watched {
         Watched { scenario: Arc::clone(scenario), repeat, episode, tasks, before_m: Vec::new() }
     }
 
+    /// Returns the lengths of the remaining paths \[m\] of robots at these points \[m\], world frame.
+    fn to_go_m(&self, points: impl Iterator<Item = Vec2>) -> Vec<f32> {
+        let mut to_go_m = vec![0.0; self.tasks.len()];
+        self.scenario.distances_to_go(&self.tasks, &points.collect::<Vec<_>>(), &mut to_go_m);
+        to_go_m
+    }
+
     /// Calls the behaviour with the state of the team at a step.
     fn at<T>(
         &mut self,
@@ -96,10 +104,9 @@ impl Watched {
         arrived: &[bool],
         call: impl FnOnce(&dyn Behaviour, &EpisodeStep) -> T,
     ) -> T {
-        let to_go = |(task, robot): (&Task, &JudgedRobot)| self.scenario.distance_to_go(task, robot.point);
-        let to_go_m: Vec<f32> = self.tasks.iter().zip(robots).map(to_go).collect();
+        let to_go_m = self.to_go_m(robots.iter().map(|robot| robot.point));
         let is_first = self.before_m.is_empty();
-        let starts = || self.tasks.iter().map(|task| self.scenario.distance_to_go(task, task.start)).collect();
+        let starts = || self.to_go_m(self.tasks.iter().map(|task| task.start));
         let before_m = if is_first { starts() } else { std::mem::take(&mut self.before_m) };
         let progress_m: Vec<f32> = before_m.iter().zip(&to_go_m).map(|(before, now)| before - now).collect();
         let Watched { repeat, episode, ref tasks, .. } = *self;

@@ -190,7 +190,7 @@ impl Scanner {
         let radius_m = arena.hull_m();
         self.rays.place(origin, ahead, ranges);
         others.for_each(|centre| self.rays.meet_disc(&Disc { centre, radius_m }, ranges));
-        arena.keep_outs.iter().for_each(|block| self.rays.meet_box(block, ranges));
+        arena.keep_outs.iter().for_each(|block| self.rays.meet_block(block, ranges));
         if self.rails {
             // The hull of a robot touches the rails when its centre is at the end of the ground.
             self.rays.meet_rails(arena.half_extent.add_scalar(radius_m), ranges);
@@ -258,7 +258,7 @@ mod tests {
     }
 
     fn arena() -> Arena {
-        let wall = KeepOut { min: Vec2::new(-1.0, 1.0), max: Vec2::new(1.0, 1.2) };
+        let wall = KeepOut::rect(Vec2::new(-1.0, 1.0), Vec2::new(1.0, 1.2));
         Arena { half_extent: Vec2::new(3.0, 3.0), keep_outs: vec![wall], portals: Vec::new(), robot_radius_m: 0.25 }
     }
 

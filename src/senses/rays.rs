@@ -89,7 +89,7 @@ impl Rays {
     }
 
     /// Shortens the rays that meet the box in front of their origin; to zero if the origin is inside.
-    pub fn meet_box(&self, block: &KeepOut, ranges: &mut [f32]) {
+    fn meet_box(&self, block: &KeepOut, ranges: &mut [f32]) {
         let nearest = self.origin.sup(&block.min).inf(&block.max);
         if (nearest - self.origin).norm_squared() > self.range_m * self.range_m {
             return;
@@ -102,6 +102,36 @@ impl Rays {
             let leaves = smaller(larger(x0, x1), larger(y0, y1));
             let met = larger(enters, 0.0);
             *range = if (met <= leaves) & (met < *range) { met } else { *range };
+        }
+    }
+
+    /// Shortens the rays that meet a block in front of their origin; to zero if the origin is inside.
+    pub fn meet_block(&self, block: &KeepOut, ranges: &mut [f32]) {
+        if block.is_rect() {
+            self.meet_box(block, ranges);
+        } else if block.radius_m() > 0.0 {
+            block.corners().for_each(|centre| self.meet_disc(&Disc { centre, radius_m: block.radius_m() }, ranges));
+        } else if block.distance(self.origin) <= self.range_m {
+            self.meet_polygon(block, ranges);
+        }
+    }
+
+    /// Shortens the rays that meet a convex polygon (Cyrus and Beck, 1978).
+    fn meet_polygon(&self, block: &KeepOut, ranges: &mut [f32]) {
+        for ((x, y), range) in self.x.iter().zip(&self.y).zip(ranges) {
+            let (mut enters, mut leaves) = (0.0, f32::INFINITY);
+            for [from, to] in block.sides() {
+                let outward = Vec2::new(to.y - from.y, from.x - to.x);
+                let along = outward.x * x + outward.y * y;
+                let meets = |along: f32| outward.dot(&(from - self.origin)) / along;
+                if along >= ALMOST_ZERO {
+                    leaves = smaller(leaves, meets(along));
+                } else {
+                    // A ray beside the side enters never, or long ago.
+                    enters = larger(enters, meets(smaller(along, -ALMOST_ZERO)));
+                }
+            }
+            *range = if (enters <= leaves) & (enters < *range) { enters } else { *range };
         }
     }
 
@@ -163,7 +193,7 @@ mod tests {
     fn rays_meet_what_is_in_front_of_them_and_the_nearest_of_it() {
         let (rays, mut ranges) = four(Vec2::new(1.0, 1.0), 0.0);
         rays.meet_disc(&Disc { centre: Vec2::new(3.0, 1.0), radius_m: 0.5 }, &mut ranges);
-        rays.meet_box(&KeepOut { min: Vec2::new(0.0, 2.0), max: Vec2::new(2.0, 3.0) }, &mut ranges);
+        rays.meet_box(&KeepOut::rect(Vec2::new(0.0, 2.0), Vec2::new(2.0, 3.0)), &mut ranges);
         rays.limit(&mut ranges);
         near(&ranges, [1.5, 1.0, NONE, NONE]);
         rays.meet_disc(&Disc { centre: Vec2::new(2.0, 1.0), radius_m: 0.25 }, &mut ranges);
@@ -176,7 +206,7 @@ mod tests {
         let (rays, mut ranges) = four(Vec2::zeros(), FRAC_PI_2 as f32);
         rays.meet_disc(&Disc { centre: Vec2::new(0.0, 2.0), radius_m: 0.5 }, &mut ranges);
         rays.meet_disc(&Disc { centre: Vec2::new(-5.4, 0.0), radius_m: 0.5 }, &mut ranges);
-        rays.meet_box(&KeepOut { min: Vec2::new(-1.0, -6.0), max: Vec2::new(1.0, -5.1) }, &mut ranges);
+        rays.meet_box(&KeepOut::rect(Vec2::new(-1.0, -6.0), Vec2::new(1.0, -5.1)), &mut ranges);
         rays.limit(&mut ranges);
         near(&ranges, [1.5, 4.9, NONE, NONE]);
     }
@@ -188,7 +218,7 @@ mod tests {
             rays.meet_disc(&Disc { centre: Vec2::zeros(), radius_m: 0.5 }, &mut ranges);
             near(&ranges, [0.0; 4]);
             let (rays, mut ranges) = four(inside, 0.3);
-            rays.meet_box(&KeepOut { min: Vec2::new(-1.0, -1.0), max: Vec2::new(1.0, 1.0) }, &mut ranges);
+            rays.meet_box(&KeepOut::rect(Vec2::new(-1.0, -1.0), Vec2::new(1.0, 1.0)), &mut ranges);
             near(&ranges, [0.0; 4]);
         }
         let (rays, mut ranges) = four(Vec2::new(1.0, 0.0), 0.0);
@@ -202,7 +232,7 @@ mod tests {
     #[test]
     fn a_ray_along_the_face_of_a_box_is_no_error() {
         let (rays, mut ranges) = four(Vec2::new(0.0, 1.0), 0.0);
-        rays.meet_box(&KeepOut { min: Vec2::new(1.0, 0.0), max: Vec2::new(2.0, 1.0) }, &mut ranges);
+        rays.meet_box(&KeepOut::rect(Vec2::new(1.0, 0.0), Vec2::new(2.0, 1.0)), &mut ranges);
         assert!(ranges.iter().all(|range| !range.is_nan()), "{ranges:?}");
     }
 
@@ -215,12 +245,31 @@ mod tests {
     }
 
     #[test]
+    fn a_ray_meets_a_polygon_and_a_disc_as_small_steps_do() {
+        let corners = [[1.0, -0.5], [2.0, 0.0], [1.5, 1.0], [0.6, 0.7]].map(Vec2::from);
+        let blocks = [KeepOut::polygon(corners.to_vec()), KeepOut::disc(Vec2::new(-1.0, 0.4), 0.6)];
+        let (mut rays, mut ranges) = (Rays::new(97, (0.1, TAU / 97.0), 3.0), vec![0.0; 97]);
+        for origin in [[0.0, 0.0], [1.3, 0.2], [3.0, 1.0], [-1.0, -2.0]].map(Vec2::from) {
+            rays.place(origin, 0.4, &mut ranges);
+            blocks.iter().for_each(|block| rays.meet_block(block, &mut ranges));
+            rays.limit(&mut ranges);
+            for (ray, range) in ranges.iter().enumerate() {
+                let at = |step: u32| origin + Vec2::new(rays.x[ray], rays.y[ray]) * (step as f32 * 1e-3);
+                let solid = |step: &u32| blocks.iter().any(|block| block.distance(at(*step)) == 0.0);
+                let walked = (0..3000).find(solid).map_or(f32::INFINITY, |step| step as f32 * 1e-3);
+                let same = (walked - range).abs() < 3e-3 || walked == *range;
+                assert!(same, "ray {ray} from {origin:?}: {range}, not {walked}");
+            }
+        }
+    }
+
+    #[test]
     fn distances_are_those_of_a_walk_along_each_ray() {
         let mut stream = Seed::of_run(3).stream("rays");
         for _ in 0..20 {
             let mut at = || Vec2::new(stream.random_range(-2.0..2.0), stream.random_range(-2.0..2.0));
             let (origin, disc, corner) = (at(), Disc { centre: at(), radius_m: 0.3 }, at());
-            let block = KeepOut { min: corner, max: corner + Vec2::new(0.7, 0.4) };
+            let block = KeepOut::rect(corner, corner + Vec2::new(0.7, 0.4));
             let (mut rays, mut ranges) = (Rays::new(16, (0.1, TAU / 16.0), 4.0), vec![0.0; 16]);
             rays.place(origin, 0.0, &mut ranges);
             rays.meet_disc(&disc, &mut ranges);

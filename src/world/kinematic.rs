@@ -307,7 +307,7 @@ mod tests {
     use crate::scenario::KeepOut;
 
     fn arena() -> Arena {
-        let wall = KeepOut { min: Vec2::new(-2.0, 0.5), max: Vec2::new(2.0, 0.8) };
+        let wall = KeepOut::rect(Vec2::new(-2.0, 0.5), Vec2::new(2.0, 0.8));
         Arena { half_extent: Vec2::new(2.0, 3.0), keep_outs: vec![wall], portals: Vec::new(), robot_radius_m: 0.25 }
     }
 

@@ -18,7 +18,7 @@ use crate::chassis::Chassis;
 use crate::messages::geometry::{Motion, Vec2};
 use crate::messages::local::Contacts;
 use crate::random::Seed;
-use crate::scenario::{Arena, KeepOut};
+use crate::scenario::{Arena, KeepOut, Solid};
 use crate::time::Span;
 
 /// Fields of `Overrides` that a user may not set for the rigid-body plant: pairs of the field's name and the reason.
@@ -104,7 +104,19 @@ fn wall(physics: &Physics, half: Vec2, centre: Vec2) -> ColliderBuilder {
 }
 
 fn insert_blocks(world: &mut PhysicsWorld, physics: &Physics, blocks: &[KeepOut]) -> Vec<ColliderHandle> {
-    let collider = |block: &KeepOut| wall(physics, (block.max - block.min) / 2.0, (block.max + block.min) / 2.0);
+    let collider = |block: &KeepOut| {
+        let centre = (block.max + block.min) / 2.0;
+        let about_centre = |corner: Vec2| to_glam(corner - centre);
+        let shape = match block.solid() {
+            Solid::Rect(_) => return wall(physics, (block.max - block.min) / 2.0, centre),
+            Solid::Disc { disc: [.., radius_m] } => ColliderBuilder::ball(radius_m),
+            Solid::Polygon { .. } => {
+                let corners: Vec<Vector> = block.corners().map(about_centre).collect();
+                ColliderBuilder::convex_hull(&corners).expect("a convex polygon has an area")
+            }
+        };
+        shape.translation(to_glam(centre)).friction(physics.friction).restitution(physics.restitution)
+    };
     blocks.iter().map(|block| world.insert_collider(collider(block), None)).collect()
 }
 

@@ -41,6 +41,11 @@ fn a_task_is_checked_and_what_cannot_work_is_named() {
     for expected in ["cannot work: walls: no robot gets", "cannot work: goals: no way leads", "scripted_success: "] {
         assert!(said.contains(expected), "{said}");
     }
+    let late = ["task", "check", "examples/tasks/unlabelled-table.toml", "--mode", "onboard-adhoc", "--delay-ms", "20"];
+    let output = run(&[&late[..], &["--loss", "0.16", "--layouts", "3", "--json"]].concat());
+    let checked = json(&output);
+    assert_eq!((&checked["successes"], &checked["robots"]), (&3.into(), &5.into()), "{checked}");
+    refuses(&["task", "check", FOUR_ROOMS, "--mode", "onboard-adhoc", "--loss", "2"], &["--loss: 2 is not 0 to 1"]);
     let wrong = file(&folder, "wrong.toml", &TEXT.replace("limit_s = 60.0", "limit_s = -60.0"));
     refuses(&["task", "check", &wrong], &["wrong.toml", "rules.limit_s: -60 is not 1 to 3600"]);
     let small = file(&folder, "small.toml", &TEXT.replace("[0.7, 0.7, 2.7, 2.7]", "[0.7, 0.7, 0.8, 0.8]"));

@@ -10,7 +10,7 @@ use murmurate::policy::{self, Model, Neighbour};
 use murmurate::random::Seed;
 use murmurate::scenario::judge::Verdict;
 use murmurate::scenario::layout::Layouts;
-use murmurate::scenario::{self, Settings};
+use murmurate::scenario::{self, Settings, TaskFile};
 use murmurate::senses;
 use murmurate::time::Span;
 use murmurate::trial::Trial;
@@ -131,8 +131,11 @@ fn situations(model: &Model) -> Vec<Situation> {
 fn a_policy_is_a_function_of_its_inputs_and_random_numbers() {
     let passage = scenario::build("passage", &Settings::default()).expect("the default is sound");
     let flocking = scenario::build("flocking", &Settings::default()).expect("the default is sound");
-    let of = |entry: &policy::Entry| (entry.build)(&*passage).or_else(|_| (entry.build)(&*flocking));
-    let named = policy::REGISTRY.iter().map(|entry| of(entry).expect("one of both has the policy"));
+    let unlabelled = TaskFile::read(include_str!("../../examples/tasks/unlabelled.toml")).expect("it is sound");
+    let unlabelled = unlabelled.scenario(&Settings::default()).expect("the default is sound");
+    let scenarios = [&passage, &flocking, &unlabelled];
+    let of = |entry: &policy::Entry| scenarios.into_iter().find_map(|scenario| (entry.build)(&**scenario).ok());
+    let named = policy::REGISTRY.iter().map(|entry| of(entry).expect("one of them has the policy"));
     for model in named.chain([policy::untrained(1), policy::untrained_full(1)]) {
         let name = model.name();
         let interface = model.interface();

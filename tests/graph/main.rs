@@ -31,4 +31,5 @@ mod skip;
 mod steps;
 mod task_files;
 mod transports;
+mod unlabelled;
 mod users;

@@ -7,6 +7,22 @@ use murmurate::scenario::{Settings, TaskFile, contract};
 use toml::{Table, Value};
 
 const FOUR_ROOMS: &str = include_str!("../../examples/tasks/four-rooms.toml");
+/// The other tasks of the library.
+const LIBRARY: [&str; 5] = [
+    include_str!("../../examples/tasks/navigation.toml"),
+    include_str!("../../examples/tasks/unlabelled.toml"),
+    include_str!("../../examples/tasks/unlabelled-table.toml"),
+    include_str!("../../examples/tasks/warehouse.toml"),
+    include_str!("../../examples/tasks/warehouse-table.toml"),
+];
+/// A file with each field that the four rooms do not have.
+const SHAPES: &str = "name = \"shapes\"\nrobots = { default = 3, least = 2, most = 4 }\nhull_m = 0.1\n\
+    ground = { polygon = [[-3, -2], [3, -2], [3, 1], [1, 1], [1, 2.5], [-3, 2.5]] }\n\
+    walls = [{ disc = [2, -1, 0.3] }, { polygon = [[-1, 0], [0, -0.3], [0.2, 0.4]] }]\ngoals = \"unlabelled\"\n\
+    start = { rect = [-2.8, -1.8, 1, -1] }\ngoal = { polygon = [[-2.8, 1], [0.8, 1], [0.8, 2.3], [-2.8, 2.3]] }\n\
+    rules = { arrival_m = 0.2, limit_s = 60.0 }\n\
+    obstacles = [{ count = 2, radius_m = 0.1, within = [-3, -2, 3, 2], each_episode = true },\n\
+    { count = 2, polygon = [[0, 0], [0.2, 0], [0.1, 0.2]], within = [-3, -1, 3, 2] }]\n";
 
 /// A task file with these lines for its walls and places.
 fn file(lines: &str) -> String {
@@ -45,7 +61,7 @@ fn the_contract_of_scenarios_holds_for_every_kind_of_places() {
         file(&format!("{wall}{anew}{area}")),
         file(&format!("{anew}{sides}")),
     ];
-    for text in texts.iter().map(String::as_str).chain([FOUR_ROOMS]) {
+    for text in texts.iter().map(String::as_str).chain([FOUR_ROOMS, SHAPES]).chain(LIBRARY) {
         let task = TaskFile::read(text).unwrap_or_else(|error| panic!("{error}:\n{text}"));
         contract::check_file(&task).unwrap_or_else(|broken| panic!("{broken}:\n{text}"));
     }
@@ -75,12 +91,35 @@ fn what_cannot_be_is_refused_by_its_field() {
         ("start = { disc = [0.0, 0.0, 1.0] }".to_owned(), "goal: it is missing"),
         (format!("{sides}\nplaces = [[0, 0]]"), "places: there is 'start' already"),
         (format!("{sides}\nunlabelled = true"), "unlabelled: unknown field"),
+        (format!("{sides}\ngoals = \"free\""), "goals: unknown variant, expected `labelled` or `unlabelled`"),
+        ("places = [[0, 0]]\ngoals = \"unlabelled\"".to_owned(), "places: robots would stand at unlabelled goals"),
         (
             format!("{sides}\nreward = {{ coverage = 1.0 }}"),
             "reward.coverage: unknown field `coverage`, expected one of `progress`, `arrival`, `contact`, `time`, \
              `nearness`, `energy`, `cohesion`, `matching`",
         ),
-        (format!("{sides}\nwalls = [{{ disc = [0, 0, 1] }}]"), "walls[0]: a wall is a rectangle"),
+        (format!("{sides}\nwalls = [{{ points = [[0, 0]] }}]"), "walls[0]: a wall is a rect, a disc or a polygon"),
+        (format!("{sides}\nwalls = [{{ disc = [0, 0, -1] }}]"), "walls[0].disc[2]: -1 is not"),
+        (
+            format!("{sides}\nwalls = [{{ polygon = [[0, 0], [3, 1], [3, 0], [0, 2]] }}]"),
+            "walls[0].polygon: its sides cross or touch each other",
+        ),
+        (
+            format!("{sides}\nwalls = [{{ polygon = [[0, 0], [1, 1]] }}]"),
+            "walls[0].polygon: a polygon has three corners",
+        ),
+        (format!("{sides}\nground = {{ disc = [0, 0, 3] }}"), "ground: there is 'half_extent_m' already"),
+        (
+            format!("{sides}\nobstacles = [{{ count = 1, within = [-2, -2, 2, 2] }}]"),
+            "obstacles[0].size_m: give one of size_m, radius_m and polygon",
+        ),
+        (
+            format!(
+                "{sides}\nobstacles = [{{ count = 1, within = [-2, -2, 2, 2], polygon = [[0, 0], [1, 0], [0.1, 0.1], \
+                 [0, 1]] }}]"
+            ),
+            "obstacles[0].polygon: it is not convex",
+        ),
         (format!("{sides}\nwalls = [{{ rect = [0, 0, -1, 1] }}]"), "walls[0].rect[0]: the smallest x comes first"),
         (format!("{sides}\nwalls = [{{ rect = [0, 0, nan, 1] }}]"), "walls[0].rect[2]: NaN is not"),
         (
@@ -141,7 +180,17 @@ fn changed(mut whole: Value, path: &[String], to: Option<Value>) -> Value {
 
 #[test]
 fn every_mutation_of_a_task_file_is_accepted_or_refused_in_a_line_that_names_a_field() {
-    let whole: Value = Value::Table(FOUR_ROOMS.parse::<Table>().expect("it is TOML"));
+    let (tried, refused) = mutations(FOUR_ROOMS, "exchange");
+    assert!(tried > 600 && refused > 200, "{refused} of {tried} mutations are refused");
+    // Places of robots, walls or obstacles may leave no room in an area.
+    let (tried, refused) = mutations(SHAPES, "start");
+    assert!(tried > 600 && refused > 200, "{refused} of {tried} mutations are refused");
+}
+
+/// Tries mutations of a task file, and returns how many, and how many of them are refused. An error may name the field
+/// `area` in place of that which was changed.
+fn mutations(text: &str, area: &str) -> (usize, usize) {
+    let whole: Value = Value::Table(text.parse::<Table>().expect("it is TOML"));
     let numbers = [f64::NAN, f64::INFINITY, -1.0, 0.0, 1e300, 1e-300, 5000.0].map(Value::Float);
     let others = [
         Value::String("many".to_owned()),
@@ -165,11 +214,11 @@ fn every_mutation_of_a_task_file_is_accepted_or_refused_in_a_line_that_names_a_f
             refused += 1;
             assert_eq!(printable(&found, Layout::Line), found, "one line, without control characters");
             // A size of ground, robots or walls may leave no room in an area.
-            let named = [path[0].as_str(), "exchange"].iter().any(|field| found.contains(field));
+            let named = [path[0].as_str(), area, "goal", "obstacles"].iter().any(|field| found.contains(field));
             assert!(named && found.len() < 400, "{path:?}: {found}\n{text}");
         }
     }
-    assert!(tried > 600 && refused > 200, "{refused} of {tried} mutations are refused");
+    (tried, refused)
 }
 
 fn at<'a>(whole: &'a Value, path: &[String]) -> &'a Value {

@@ -5,6 +5,7 @@ use std::net::SocketAddr;
 use foxglove::Decode;
 use foxglove::messages::SceneUpdate;
 use murmurate::messages::geometry::Vec2;
+use murmurate::scenario::Solid;
 use murmurate_view::access::Control;
 use murmurate_view::snapshot::{RobotState, Snapshot, scale_m};
 use murmurate_view::status::Scene;
@@ -52,7 +53,7 @@ fn data(client: &mut WebSocket<std::net::TcpStream>, subscription: u32) -> Vec<u
 
 #[test]
 fn foxglove_sees_the_team_and_commands_nothing() {
-    let walls = vec![[1.0, 2.0, 3.0, 4.0]];
+    let walls = vec![Solid::Rect([1.0, 2.0, 3.0, 4.0]), Solid::Disc { disc: [0.0, 0.0, 0.5] }];
     let scene = Scene { robots: 2, hull_m: 0.2, scale_m: scale_m(10.0), walls, ..Scene::default() };
     let (server, publisher) = server_for_foxglove(&scene);
     let mut client = connected(server.address());

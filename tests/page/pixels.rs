@@ -1,6 +1,7 @@
 //! The page in a browser, with snapshots of a made-up team: what is where, pixel by pixel.
 
 use murmurate::messages::geometry::Vec2;
+use murmurate::scenario::Solid;
 use murmurate::time::{Span, Time};
 use murmurate_view::access::Control;
 use murmurate_view::snapshot::{RobotState, Snapshot, scale_m};
@@ -31,7 +32,7 @@ fn robots_walls_and_ground_are_drawn_at_the_right_pixels() {
     let scene = Scene {
         robots: 3,
         half_extent: [2.0, 1.5],
-        walls: vec![[-0.2, -0.1, 0.3, 0.1], [1.6, 1.0, 1.8, 1.5], [-2.5, -1.2, -1.9, -1.0]],
+        walls: [[-0.2, -0.1, 0.3, 0.1], [1.6, 1.0, 1.8, 1.5], [-2.5, -1.2, -1.9, -1.0]].map(Solid::Rect).into(),
         hull_m: 0.2,
         scale_m: scale_m(4.0),
         hears_links: true,

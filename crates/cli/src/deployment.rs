@@ -8,13 +8,12 @@ use anyhow::Result;
 use clap::Arg;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::error::ErrorKind;
-use murmurate::deploy::{Deployment, MODES};
+use murmurate::deploy::{Deployment, Impair, MODES};
 use murmurate::net::media::radio::{PRESETS, Radio};
 use murmurate::registry::Registry;
 
-use murmurate_robot::BadInput;
-use murmurate_robot::Ended;
 use murmurate_robot::output::{print, read_text};
+use murmurate_robot::{BadInput, Ended, bad};
 
 /// Parser of the whole name of a preset mode. For a mere beginning of names, the error lists the modes with it.
 #[derive(Clone)]
@@ -60,6 +59,23 @@ pub fn run(args: &Args, _: &Registry) -> Result<Ended> {
     deployment.check().map_err(|e| BadInput(format!("--{e}")))?;
     print(deployment.to_toml().trim_end())?;
     Ok(Ended::Done)
+}
+
+/// Sets the delay \[ms\] and the loss (0 to 1) of the messages of links that `impair` selects, as `--delay-ms` and
+/// `--loss` do; zero leaves a link as it is.
+pub fn impaired(deployment: Deployment, (delay_ms, loss): (f64, f64), impair: Impair) -> Result<Deployment> {
+    for (flag, value, most) in [("--delay-ms", delay_ms, 60_000.0), ("--loss", loss, 1.0)] {
+        if !(0.0..=most).contains(&value) {
+            return bad(format!("{flag}: {value} is not 0 to {most}"));
+        }
+    }
+    if delay_ms == 0.0 && loss == 0.0 {
+        return Ok(deployment);
+    }
+    let flag = if delay_ms > 0.0 { "--delay-ms" } else { "--loss" };
+    let given = |value: f64| Some(value).filter(|value| *value > 0.0);
+    let impaired = deployment.impaired(given(delay_ms / 1000.0), given(loss), impair);
+    Ok(impaired.map_err(|e| BadInput(format!("{flag}: {e}")))?)
 }
 
 /// Adds a radio to the links of a deployment. `given` is the name of a radio preset, the path of a radio file, or

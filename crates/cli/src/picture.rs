@@ -159,6 +159,7 @@ fn stage<'a>(trial: &'a Trial, policy: &str, episode: u32) -> Backdrop<'a> {
         arena: trial.layouts.arena(episode).map_or(trial.scenario.arena(), |arena| arena),
         rules: trial.scenario.rules(),
         cost: trial.scenario.cost(),
+        goals: trial.scenario.goals(),
         radius_m: trial.physics.wall_radius_m,
         window: Span::from_secs(window_s),
         tasks: trial.layouts.episode(episode),

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use murmurate::config::shown::{counted, value};
-use murmurate::deploy::Deployment;
+use murmurate::deploy::{Deployment, Impair};
 use murmurate::messages::geometry::{Planar, Vec2};
-use murmurate::policy::Model;
+use murmurate::policy;
 use murmurate::policy::roadmap::Roadmap;
 use murmurate::registry::Registry;
 use murmurate::scenario::{Arena, ScenarioError, Settings};
@@ -16,12 +16,10 @@ use murmurate_robot::output::print;
 use murmurate_robot::{BadInput, Ended};
 use serde::Serialize;
 
-use crate::deployment::ModeParser;
+use crate::deployment::{ModeParser, impaired};
 use crate::picture::{Flags, Pictures};
 use crate::size::{self, SizeFlags};
 
-/// Name of scripted navigation in captions.
-const SCRIPTED: &str = "orca";
 /// Largest number of cells along each axis, into which the ground is divided in the search for closed rooms.
 const CELLS: f32 = 400.0;
 /// Side of a cell, in radii of the robots.
@@ -53,6 +51,12 @@ pub struct Check {
     /// Mode of the episodes of scripted navigation (see 'murmurate deployment')
     #[arg(long, default_value = "sim", value_parser = ModeParser)]
     mode: String,
+    /// Delay of the messages between robots in these episodes, in a mode whose robots are on hosts of their own \[ms\]
+    #[arg(long, default_value_t = 0.0, value_name = "MS")]
+    delay_ms: f64,
+    /// Share of these messages that is lost, 0 to 1
+    #[arg(long, default_value_t = 0.0)]
+    loss: f64,
     /// Number of layouts that are looked at, and of episodes of scripted navigation
     #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     layouts: u32,
@@ -102,7 +106,11 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     })?;
     let pictures = Pictures::open(&args.pictures, args.layouts)?;
     let deployment = Deployment::preset(&args.mode, scenario.robots()).expect("the parser lets only modes through");
-    let mut trial = Trial::with_registry(registry, deployment.sized(&settings), scenario, Model::Orca);
+    let scripted = policy::scripted(&*scenario);
+    let model = registry.policy(scripted).context("the program has its scripted policies")?;
+    let model = (model.build)(&*scenario)?;
+    let deployment = impaired(deployment.sized(&settings), (args.delay_ms, args.loss), Impair::Latent)?;
+    let mut trial = Trial::with_registry(registry, deployment, scenario, model);
     trial = trial.seed(args.seed).episodes(args.layouts);
     trial.steps = pictures.steps(0, trial.steps);
     let mut findings = closed_rooms(trial.scenario.arena());
@@ -136,7 +144,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         findings,
     };
     print(&if args.json { serde_json::to_string(&checked).context("a result is JSON")? } else { text(&checked) })?;
-    pictures.draw(&trial, SCRIPTED, &[report])?;
+    pictures.draw(&trial, scripted, &[report])?;
     Ok(if checked.findings.is_empty() { Ended::Done } else { Ended::Unfit })
 }
 
@@ -233,7 +241,7 @@ mod tests {
 
     #[test]
     fn a_closed_room_is_named_with_its_place_and_an_open_one_is_not() {
-        let wall = |min: [f32; 2], max: [f32; 2]| KeepOut { min: min.into(), max: max.into() };
+        let wall = |min: [f32; 2], max: [f32; 2]| KeepOut::rect(min.into(), max.into());
         let arena = |walls: Vec<KeepOut>| Arena {
             half_extent: Vec2::repeat(2.0),
             keep_outs: walls,

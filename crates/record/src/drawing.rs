@@ -5,13 +5,14 @@ use ::foxglove::messages::line_primitive::Type as LineType;
 use ::foxglove::messages::packed_element_field::NumericType;
 use ::foxglove::messages::{
     ArrowPrimitive, Color, CubePrimitive, CylinderPrimitive, FrameTransform, FrameTransforms, LaserScan, LinePrimitive,
-    PackedElementField, PointCloud, PoseInFrame, SceneEntity, TextPrimitive,
+    PackedElementField, PointCloud, PoseInFrame, SceneEntity, TextPrimitive, TriangleListPrimitive,
 };
 
 use super::foxglove::{self, MAP, colour};
 use super::stage::Stage;
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::wire::Sensed;
+use murmurate::scenario::Solid;
 
 /// Pose of a robot in a drawing.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,22 +51,32 @@ fn point(at: Vec2, height_m: f64) -> [f64; 3] {
 /// \[m\], world frame, in the order of robot ids. `at` is the time of the update \[ns\], since 1970 or the start of a
 /// simulation.
 pub fn walls_and_goals(at: u64, (stage, episode): (&Stage, u32), goals: &[Vec2]) -> [SceneEntity; 2] {
-    let cube = |[x, y, far_x, far_y]: &[f32; 4]| {
-        let (min, max) = (Vec2::new(*x, *y), Vec2::new(*far_x, *far_y));
+    let cube = |wall: &Solid| {
+        let Solid::Rect([x, y, far_x, far_y]) = *wall else { return None };
+        let (min, max) = (Vec2::new(x, y), Vec2::new(far_x, far_y));
         let (middle, size) = ((min + max) * 0.5, max - min);
-        CubePrimitive {
+        Some(CubePrimitive {
             pose: foxglove::pose(point(middle, WALL_HEIGHT_M / 2.0), 0.0),
             size: foxglove::vector(point(size, WALL_HEIGHT_M)),
             color: Some(GREY),
-        }
+        })
     };
+    let others = stage.walls_in(episode).iter().filter(|wall| !matches!(wall, Solid::Rect(_)));
+    let triangles = others.map(|wall| TriangleListPrimitive {
+        pose: foxglove::pose([0.0; 3], 0.0),
+        points: wall.prism(WALL_HEIGHT_M as f32).into_iter().map(|at| foxglove::point(at.map(f64::from))).collect(),
+        color: Some(GREY),
+        ..TriangleListPrimitive::default()
+    });
     let width = f64::from(stage.hull_m) * 2.0;
     let goal = |(robot, goal): (usize, &Vec2)| {
-        disc(point(*goal, 0.005), [width, width, 0.01], Color { a: 0.35, ..colour_of(robot) })
+        let colour = if stage.unlabelled { GREY } else { colour_of(robot) };
+        disc(point(*goal, 0.005), [width, width, 0.01], Color { a: 0.35, ..colour })
     };
     [
         SceneEntity {
-            cubes: stage.walls_in(episode).iter().map(cube).collect(),
+            cubes: stage.walls_in(episode).iter().filter_map(cube).collect(),
+            triangles: triangles.collect(),
             ..foxglove::entity(at, "walls".to_owned())
         },
         SceneEntity {

@@ -9,8 +9,7 @@ use serde::{Deserialize, Serialize};
 use murmurate::deploy::{Deployment, Routes};
 use murmurate::messages::geometry::Planar;
 use murmurate::messages::ids::{HostId, RobotId};
-use murmurate::scenario::Scenario;
-use murmurate::scenario::arena::KeepOut;
+use murmurate::scenario::{KeepOut, Scenario, Solid};
 use murmurate::trial::Trial;
 
 /// Name of the MCAP metadata of a record that contains the [`Stage`].
@@ -34,11 +33,14 @@ pub struct Stage {
     pub robots: usize,
     /// Half the size of the ground along x and y \[m\]; its middle is the origin.
     pub half_extent: [f32; 2],
-    /// Walls and other solid blocks: smallest x and y, then largest x and y \[m\], world frame.
-    pub walls: Vec<[f32; 4]>,
+    /// Walls and other solid blocks \[m\], world frame.
+    pub walls: Vec<Solid>,
     /// Walls and obstacles of each episode, where obstacles are drawn for each; empty where all episodes have `walls`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub drawn: Vec<Vec<[f32; 4]>>,
+    pub drawn: Vec<Vec<Solid>>,
+    /// Whether goals belong to no robot.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub unlabelled: bool,
     /// Radius of a robot's hull \[m\].
     pub hull_m: f32,
     /// Range within which robots use each other's messages \[m\]; `None` if it is unlimited.
@@ -89,17 +91,17 @@ impl Stage {
             homes: RobotId::team(deployment.robots).map(|robot| routes.agent_host(robot)).collect(),
             robots: deployment.robots,
             half_extent: arena.half_extent.to_array(),
-            walls: arena.keep_outs.iter().map(KeepOut::corners).collect(),
+            walls: arena.keep_outs.iter().map(KeepOut::solid).collect(),
             drawn: Vec::new(),
+            unlabelled: scenario.goals().are_unlabelled(),
             hull_m,
             range_m: Some(range_m).filter(|range_m| range_m.is_finite()),
             senses: Vec::new(),
         }
     }
 
-    /// Returns the walls and obstacles in the episode with this index, from zero: smallest x and y, then largest x and
-    /// y \[m\], world frame.
-    pub fn walls_in(&self, episode: u32) -> &[[f32; 4]] {
+    /// Returns the walls and obstacles in the episode with this index, from zero \[m\], world frame.
+    pub fn walls_in(&self, episode: u32) -> &[Solid] {
         self.drawn.get(episode as usize).unwrap_or(&self.walls)
     }
 

@@ -2,6 +2,8 @@
 //! socket, and random numbers come from a stream that the caller passes.
 
 pub mod coverage;
+pub mod field;
+pub mod formation;
 
 use murmurate::registry::Registry;
 
@@ -14,4 +16,10 @@ pub fn add(registry: Registry) -> Registry {
         .with_scenario(coverage::scenario::COVERAGE)
         .with_scenario(coverage::scenario::COVERAGE_TABLE)
         .with_policy(coverage::policy::COVERAGE_CVT)
+        .with_scenario(field::scenario::FLOCKING_FIELD)
+        .with_scenario(field::scenario::FLOCKING_FIELD_TABLE)
+        .with_policy(field::policy::FLOCK_FIELD)
+        .with_scenario(formation::scenario::FORMATION_ENTRY)
+        .with_scenario(formation::scenario::TABLE_ENTRY)
+        .with_policy(formation::policy::FOLLOW_LEADER)
 }

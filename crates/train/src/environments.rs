@@ -97,6 +97,8 @@ pub struct Environments {
     scenario_reward: Vec<f32>,
     reached: Vec<bool>,
     pub(super) observing: Observing,
+    /// Lengths of the remaining paths after the last step \[m\], where the reward uses them.
+    left_m: Vec<f32>,
 }
 
 /// Draws the conditions of the next episode of a team of `robots` robots from `stream`, and then the seed and the
@@ -162,6 +164,7 @@ impl Environments {
             scenario_reward: vec![0.0; robots],
             reached: vec![false; robots],
             observing: Observing::default(),
+            left_m: vec![0.0; robots],
         }
     }
 
@@ -225,13 +228,24 @@ impl Environments {
             self.contacts[robot] = Contacts::default();
             self.stage[robot] = Progress(0);
             self.arrived[robot] = false;
-            self.to_go_m[robot] = self.scenario(team).distance_to_go(task, self.point(robot).position);
         }
+        let to_go_m = self.lengths_to_go_m(team);
+        let range = self.teams[team].range();
+        self.to_go_m[range].copy_from_slice(&to_go_m);
         let team_of = &mut self.teams[team];
         (team_of.step, team_of.touched, team_of.episode_return) = (0, false, 0.0);
         team_of.messages.restart(tasks.len(), team_of.episode.lockstep);
         self.forget(team);
         self.measure(team, stream);
+    }
+
+    /// Returns the lengths of the remaining paths of the robots of a team \[m\].
+    pub(super) fn lengths_to_go_m(&self, team: usize) -> Vec<f32> {
+        let range = self.teams[team].range();
+        let points: Vec<Vec2> = range.clone().map(|robot| self.point(robot).position).collect();
+        let mut to_go_m = vec![0.0; points.len()];
+        self.scenario(team).distances_to_go(&self.tasks[range], &points, &mut to_go_m);
+        to_go_m
     }
 
     pub(super) fn set_episode(&mut self, team: usize, layout: (u64, u32), tasks: &[Task], episode: EpisodeConditions) {
@@ -254,15 +268,10 @@ impl Environments {
     /// Advances a team by one step of 50 ms. `actions` are commanded velocities \[m/s\], world frame, one for each
     /// robot of all teams, limited to `limit_m_s` along each axis. `weights` are those of the reward's terms.
     pub fn step(&mut self, team: usize, actions: &[Vec2], weights: &Reward, limit_m_s: f32, stream: &mut Stream) {
-        let range = self.teams[team].range();
-        let EpisodeConditions { filtered, clamp, lockstep, .. } = self.teams[team].episode;
-        let weights = &weights.in_episode(filtered).about(self.scenario(team).arena());
-        let (judged, exact) = (self.is_judged(team), lockstep || clamp == Clamp::Training);
-        for (robot, action) in range.clone().zip(&actions[range.clone()]) {
-            let measured = if exact { self.point(robot).velocity } else { self.estimate(team, robot).velocity };
-            let wanted = clamp.limit(*action, measured, limit_m_s);
-            self.command[robot] = if filtered { self.filtered(team, robot, wanted) } else { wanted };
-        }
+        self.command(team, actions, limit_m_s);
+        let (range, judged) = (self.teams[team].range(), self.is_judged(team));
+        let weights = weights.in_episode(self.teams[team].episode.filtered);
+        let weights = &weights.about(self.scenario(team).arena());
         let scenario = &**self.scenarios[self.teams[team].robots].as_ref().expect("every team has a scenario");
         let mut world = kinematic::TeamMotion {
             position: &mut self.position[range.clone()],
@@ -273,12 +282,7 @@ impl Environments {
         };
         let arena = self.arenas[team].as_ref().unwrap_or(scenario.arena());
         kinematic::step(arena, &self.physics[team], &self.command[range.clone()], &mut world);
-        if let Some(rolling) = &mut self.rolling {
-            for robot in range.clone() {
-                let centre = Motion { position: self.position[robot], velocity: self.velocity[robot] };
-                rolling.update(robot, &centre);
-            }
-        }
+        self.rolling.iter_mut().for_each(|rolling| rolling.follow(range.clone(), (&self.position, &self.velocity)));
         let (points, velocity) = match &self.rolling {
             None => (&self.position[range.clone()], &self.velocity[range.clone()]),
             Some(rolling) => (&rolling.position[range.clone()], &rolling.velocity[range.clone()]),
@@ -291,16 +295,20 @@ impl Environments {
             scenario.rewards(after, &mut self.scenario_reward[range.clone()]);
         }
         scenario.arrivals(tasks, points, &mut self.reached[range.clone()]);
+        if weights.progress > 0.0 {
+            scenario.distances_to_go(tasks, points, &mut self.left_m[range.clone()]);
+        }
         let scored = self.scenario_reward[range.clone()].iter().zip(&self.reached[range.clone()]);
+        let scored = scored.zip(&self.left_m[range.clone()]);
         let progress = self.to_go_m[range.clone()].iter_mut().zip(&mut self.arrived[range.clone()]);
         let progress = progress.zip(&mut self.reward[range.clone()]);
         let states = tasks.iter().zip(position.iter().zip(points)).zip(contacts).zip(scored).zip(progress).enumerate();
         let means = TeamMeans::of(weights, points, velocity);
         let (mut sum, mut touched) = (0.0, false);
         for (robot, ((((task, (&at, &point)), &contacts), scored), ((to_go_m, arrived), reward))) in states {
-            let (&scenario_reward, &reached) = scored;
-            let step = RobotStep { task, position: at, point, contacts, scenario_reward, reached, to_go_m, arrived };
-            *reward = robot_reward(weights, (scenario, arena), step);
+            let ((&scenario_reward, &reached), &left_m) = scored;
+            let step = RobotStep { task, position: at, contacts, scenario_reward, reached, left_m, to_go_m, arrived };
+            *reward = robot_reward(weights, arena, step);
             if weights.proximity > 0.0 {
                 *reward -= proximity_penalty(weights, robot, position);
             }
@@ -321,6 +329,18 @@ impl Environments {
         team_of.step += 1;
         if !team_of.episode.lockstep {
             self.measure(team, stream);
+        }
+    }
+
+    /// Makes the commands of a team's robots of `actions`, as far as limits and safety filter allow them.
+    fn command(&mut self, team: usize, actions: &[Vec2], limit_m_s: f32) {
+        let range = self.teams[team].range();
+        let EpisodeConditions { filtered, clamp, lockstep, .. } = self.teams[team].episode;
+        let exact = lockstep || clamp == Clamp::Training;
+        for (robot, action) in range.clone().zip(&actions[range]) {
+            let measured = if exact { self.point(robot).velocity } else { self.estimate(team, robot).velocity };
+            let wanted = clamp.limit(*action, measured, limit_m_s);
+            self.command[robot] = if filtered { self.filtered(team, robot, wanted) } else { wanted };
         }
     }
 

@@ -61,7 +61,8 @@ impl Evaluation<'_> {
             chunk.environments.place(team, (self.seed, episode), conditions(episode), &mut stream);
             let range = chunk.environments.teams[team].range();
             let goals = chunk.environments.tasks[range].iter().map(|task| task.goal);
-            judges.push(Judge::new(self.scenario.rules(), goals.collect()).with_cost(self.scenario.cost()));
+            let judge = Judge::new(self.scenario.rules(), goals.collect()).with_cost(self.scenario.cost());
+            judges.push(judge.with_goals(self.scenario.goals()));
         }
         let mut findings: Vec<Option<Judgement>> = vec![None; rows];
         let mut after = Span::ZERO;

@@ -16,14 +16,14 @@ pub struct RobotStep<'a> {
     pub task: &'a Task,
     /// Position of the robot's centre after the step \[m\], world frame.
     pub position: Vec2,
-    /// Position, after the step, of the point whose velocity the policy commands \[m\], world frame.
-    pub point: Vec2,
     /// Contacts of the robot with walls and other robots in the step.
     pub contacts: Contacts,
     /// The scenario's own reward of the robot for the step, before weighting.
     pub scenario_reward: f32,
     /// Whether the robot is at its goal after the step.
     pub reached: bool,
+    /// Length of the remaining path after the step \[m\], if the reward uses it.
+    pub left_m: f32,
     /// Length of the remaining path before the step \[m\]. It is replaced by the length after the step if the reward
     /// uses it.
     pub to_go_m: &'a mut f32,
@@ -42,16 +42,15 @@ pub fn has_reward(scenario: &dyn Scenario) -> bool {
 
 /// Returns the reward of one robot for a step in the arena of its episode: the terms with these `weights`, without
 /// those that depend on other robots' positions or rewards.
-pub fn robot_reward(weights: &Reward, (scenario, arena): (&dyn Scenario, &Arena), step: RobotStep) -> f32 {
+pub fn robot_reward(weights: &Reward, arena: &Arena, step: RobotStep) -> f32 {
     let position = step.position;
     let mut reward = 0.0;
     if weights.scenario > 0.0 {
         reward += weights.scenario * step.scenario_reward;
     }
     if weights.progress > 0.0 {
-        let to_go_m = scenario.distance_to_go(step.task, step.point);
-        reward += weights.progress * (*step.to_go_m - to_go_m);
-        *step.to_go_m = to_go_m;
+        reward += weights.progress * (*step.to_go_m - step.left_m);
+        *step.to_go_m = step.left_m;
     }
     if !*step.arrived {
         if step.reached {

@@ -1,6 +1,8 @@
 //! Wheels of robots in training environments whose chassis is not the default one: robots with a differential drive, or
 //! with limits of their own.
 
+use std::ops::Range;
+
 use murmurate::chassis::Chassis;
 use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::world::Wheels;
@@ -30,6 +32,14 @@ impl Rolling {
     /// Returns the distance of the commanded points ahead of the robots' centres \[m\]; 0 for holonomic robots.
     pub fn ahead_m(&self) -> f32 {
         self.wheels.first().map_or(0.0, |wheels| wheels.chassis().point_ahead_m)
+    }
+
+    /// Updates the commanded points of some robots from the positions \[m\] and velocities \[m/s\] of all centres,
+    /// world frame.
+    pub fn follow(&mut self, robots: Range<usize>, (position, velocity): (&[Vec2], &[Vec2])) {
+        for robot in robots {
+            self.update(robot, &Motion { position: position[robot], velocity: velocity[robot] });
+        }
     }
 
     /// Updates the commanded point of the robot with index `robot` from `centre`, the motion of its centre, world

@@ -12,13 +12,14 @@ use axum::extract::ws::{Message, WebSocket};
 use data_encoding::BASE64;
 use foxglove::Encode;
 use foxglove::messages::{
-    ArrowPrimitive, Color, CubePrimitive, CylinderPrimitive, Pose, Quaternion, SceneEntity, SceneUpdate, TextPrimitive,
-    Timestamp, Vector3,
+    ArrowPrimitive, Color, CubePrimitive, CylinderPrimitive, Point3, Pose, Quaternion, SceneEntity, SceneUpdate,
+    TextPrimitive, Timestamp, TriangleListPrimitive, Vector3,
 };
 use serde::Deserialize;
 use serde_json::{Value, json};
 
 use murmurate::edge::EndsProcess;
+use murmurate::scenario::Solid;
 
 use super::shared::{PAGE, Shared};
 use super::snapshot::{Drawn, robots};
@@ -156,10 +157,10 @@ fn framed(subscription: u32, now: Duration, data: &[u8]) -> Bytes {
 struct Ground {
     hull_m: f64,
     scale_m: f32,
-    walls: Vec<[f64; 4]>,
+    walls: Vec<Solid>,
     /// Walls and obstacles of each episode, where obstacles are drawn for each.
     #[serde(default)]
-    drawn: Vec<Vec<[f64; 4]>>,
+    drawn: Vec<Vec<Solid>>,
     /// Number of the current episode, from 1; `None` while it is unknown.
     #[serde(skip)]
     episode: Option<usize>,
@@ -227,14 +228,27 @@ impl Ground {
 
     fn walls(&self) -> SceneEntity {
         let height = 2.0 * self.hull_m;
-        let wall = |[x, y, far_x, far_y]: &[f64; 4]| CubePrimitive {
-            pose: pose([(x + far_x) / 2.0, (y + far_y) / 2.0, height / 2.0], 0.0),
-            size: size([far_x - x, far_y - y, height]),
-            color: colour(GREY),
-        };
+        let mut entity = SceneEntity { id: "walls".to_owned(), ..SceneEntity::default() };
         let drawn = self.episode.and_then(|number| self.drawn.get(number.checked_sub(1)?));
-        let cubes = drawn.unwrap_or(&self.walls).iter().map(wall).collect();
-        SceneEntity { id: "walls".to_owned(), cubes, ..SceneEntity::default() }
+        for wall in drawn.unwrap_or(&self.walls) {
+            let corner = |[x, y, z]: [f32; 3]| Point3 { x: x.into(), y: y.into(), z: z.into() };
+            let Solid::Rect(corners) = wall else {
+                entity.triangles.push(TriangleListPrimitive {
+                    pose: pose([0.0; 3], 0.0),
+                    points: wall.prism(height as f32).into_iter().map(corner).collect(),
+                    color: colour(GREY),
+                    ..TriangleListPrimitive::default()
+                });
+                continue;
+            };
+            let [x, y, far_x, far_y] = corners.map(f64::from);
+            entity.cubes.push(CubePrimitive {
+                pose: pose([(x + far_x) / 2.0, (y + far_y) / 2.0, height / 2.0], 0.0),
+                size: size([far_x - x, far_y - y, height]),
+                color: colour(GREY),
+            });
+        }
+        entity
     }
 }
 

@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::scans::ScanForm;
 use murmurate::messages::geometry::Planar;
 use murmurate::messages::ids::RobotId;
-use murmurate::scenario::arena::{Arena, KeepOut};
+use murmurate::scenario::{Arena, KeepOut, Solid};
 
 /// Largest number of log lines that the live page gets.
 pub const LOG_LINES: usize = 40;
@@ -33,10 +33,12 @@ pub struct Scene {
     pub episodes: u32,
     /// Half the size of the ground along x and y \[m\]; its middle is the origin.
     pub half_extent: [f32; 2],
-    /// Walls and other solid blocks: smallest x and y, then largest x and y \[m\], world frame.
-    pub walls: Vec<[f32; 4]>,
+    /// Walls and other solid blocks \[m\], world frame.
+    pub walls: Vec<Solid>,
     /// Walls and obstacles of each episode, where obstacles are drawn for each; empty where all episodes have `walls`.
-    pub drawn: Vec<Vec<[f32; 4]>>,
+    pub drawn: Vec<Vec<Solid>>,
+    /// Whether goals belong to no robot.
+    pub unlabelled: bool,
     /// Radius of a robot's hull \[m\].
     pub hull_m: f32,
     /// Communication range of the robots \[m\]; null if it is unlimited.
@@ -112,7 +114,7 @@ impl Scene {
         let half = arena.half_extent.to_array();
         Scene {
             half_extent: half,
-            walls: arena.keep_outs.iter().map(KeepOut::corners).collect(),
+            walls: arena.keep_outs.iter().map(KeepOut::solid).collect(),
             hull_m: arena.robot_radius_m,
             scale_m: super::snapshot::scale_m(half[0].max(half[1]) + 2.0),
             control: "stop",

@@ -89,6 +89,8 @@ pub(super) struct Slot {
     computes: bool,
     /// Period of the policy under test.
     period: Span,
+    /// Time since when the robot holds an unlabelled goal; `None` while it holds none.
+    pub held_since: Option<Time>,
     /// Latent features that the robot broadcasts in the current step.
     pub features: Vec<f32>,
     /// Outcome of the current step so far.
@@ -153,6 +155,7 @@ impl Slot {
             held: None,
             computes: false,
             period,
+            held_since: None,
             features: Vec::new(),
             outcome: Outcome::Silent,
             reported: false,
@@ -227,7 +230,7 @@ impl Slot {
     /// Puts the policy under test back to its start, for a new episode.
     pub fn begin(&mut self) {
         self.stepped = [None; 2];
-        self.held = None;
+        (self.held, self.held_since) = (None, None);
         self.memory.fill(0.0);
         self.reset();
     }

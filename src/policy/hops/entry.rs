@@ -85,7 +85,7 @@ pub fn write(entries: &[Entry], own: &Observation, to: &mut [f32]) {
     }
 }
 
-/// Appends the entries to `to`, as [`write`] writes them.
+/// Appends the entries to `to`, as [`write()`] writes them.
 pub fn append(entries: &[Entry], own: &Observation, to: &mut Vec<f32>) {
     let at = to.len();
     to.resize(at + floats(entries), 0.0);

@@ -6,8 +6,8 @@ use rand::seq::SliceRandom;
 use super::fields::Shape;
 use crate::messages::geometry::Vec2;
 use crate::random::Stream;
-use crate::scenario::arena::{Arena, KeepOut, Portal};
 use crate::scenario::size::APART;
+use crate::scenario::{Arena, KeepOut, Portal};
 
 /// Room \[m\] that a drawn place has from walls beyond the robots' radius, as in the scenario `passage`.
 const ROOM_M: f32 = 0.05;
@@ -24,8 +24,8 @@ const MOST_POINTS: f32 = 400.0;
 /// Area in which places of robots are drawn \[m\], world frame.
 #[derive(Clone, Debug)]
 pub struct Area {
-    /// Blocks whose points within `radius_m` are the area: the rectangle, the centre of the disc, or the points of the
-    /// formation.
+    /// Blocks whose points within `radius_m` are the area: the rectangle, the parts of the polygon, the centre of the
+    /// disc, or the points of the formation.
     cores: Vec<KeepOut>,
     /// Radius of the disc \[m\]; zero for other areas.
     radius_m: f32,
@@ -36,25 +36,18 @@ pub struct Area {
 impl Area {
     /// Returns the area of a shape whose lengths are multiplied by `scale`.
     pub fn of(shape: &Shape, scale: f32) -> Area {
-        let point = |x: f32, y: f32| KeepOut { min: Vec2::new(x, y) * scale, max: Vec2::new(x, y) * scale };
-        match shape {
-            Shape::Rect([x, y, far_x, far_y]) => Area {
-                cores: vec![KeepOut { min: Vec2::new(*x, *y) * scale, max: Vec2::new(*far_x, *far_y) * scale }],
-                radius_m: 0.0,
-                is_formation: false,
-            },
-            Shape::Disc([x, y, radius_m]) => {
-                Area { cores: vec![point(*x, *y)], radius_m: radius_m * scale, is_formation: false }
-            }
-            Shape::Points(points) => {
-                Area { cores: points.iter().map(|[x, y]| point(*x, *y)).collect(), radius_m: 0.0, is_formation: true }
-            }
-        }
+        let point = |[x, y]: [f32; 2]| KeepOut::rect(Vec2::new(x, y) * scale, Vec2::new(x, y) * scale);
+        let (cores, radius_m, is_formation) = match shape {
+            Shape::Rect(_) | Shape::Polygon(_) => (shape.blocks(scale), 0.0, false),
+            Shape::Disc([x, y, radius_m]) => (vec![point([*x, *y])], radius_m * scale, false),
+            Shape::Points(points) => (points.iter().copied().map(point).collect(), 0.0, true),
+        };
+        Area { cores, radius_m, is_formation }
     }
 
     /// Returns the least distance \[m\] between points of two areas; zero if they overlap.
     pub fn distance(&self, other: &Area) -> f32 {
-        let pairs = self.cores.iter().flat_map(|a| other.cores.iter().map(move |b| apart_m(a, b)));
+        let pairs = self.cores.iter().flat_map(|a| other.cores.iter().map(move |b| a.apart_m(b)));
         (pairs.fold(f32::INFINITY, f32::min) - self.radius_m - other.radius_m).max(0.0)
     }
 
@@ -127,18 +120,14 @@ impl Area {
     }
 
     fn bounds(&self) -> (Vec2, Vec2) {
-        let core = &self.cores[0];
-        (core.min.add_scalar(-self.radius_m), core.max.add_scalar(self.radius_m))
+        let low = self.cores.iter().skip(1).fold(self.cores[0].min, |low, core| low.inf(&core.min));
+        let high = self.cores.iter().skip(1).fold(self.cores[0].max, |high, core| high.sup(&core.max));
+        (low.add_scalar(-self.radius_m), high.add_scalar(self.radius_m))
     }
 
     fn has(&self, point: Vec2) -> bool {
         self.cores.iter().any(|core| core.distance(point) <= self.radius_m)
     }
-}
-
-/// Returns the distance \[m\] between two blocks; zero if they overlap.
-pub fn apart_m(a: &KeepOut, b: &KeepOut) -> f32 {
-    (a.min - b.max).sup(&(b.min - a.max)).sup(&Vec2::zeros()).norm()
 }
 
 /// Returns the least distance of two places \[m\].
@@ -153,7 +142,7 @@ fn admits(is_given: bool, arena: &Arena, place: Vec2) -> bool {
     let room_m = ROOM_M * (radius_m / CHOSEN_FOR_M).min(1.0);
     let is_out = |portal: &Portal| {
         let [min, max] = [portal.near.inf(&portal.far), portal.near.sup(&portal.far)];
-        KeepOut { min, max }.distance(place) >= 2.0 * radius_m
+        KeepOut::rect(min, max).distance(place) >= 2.0 * radius_m
     };
     arena.admits(place) && (is_given || arena.clearance(place) >= radius_m + room_m && arena.portals.iter().all(is_out))
 }

@@ -2,7 +2,7 @@
 //! can pass.
 
 use crate::messages::geometry::Vec2;
-use crate::scenario::arena::{Arena, KeepOut, Portal};
+use crate::scenario::{Arena, KeepOut, Portal};
 
 /// Widest gap in which two robots cannot pass each other, in radii of the robots. Four are two robots side by side.
 const NARROW: f32 = 4.5;
@@ -11,9 +11,13 @@ const NARROW: f32 = 4.5;
 const MOUTHS: [f32; 4] = [2.0, 1.75, 1.5, 1.25];
 /// Length \[m\] below which two coordinates are one.
 const SAME_M: f32 = 1e-3;
+/// Step of the search for the end of a gap, and the room by which it is wider there, in radii of the robots.
+const DEPTH: f32 = 0.1;
+/// Largest number of such steps.
+const MOST_STEPS: u32 = 200;
 
 /// Gap between two blocks that lie opposite each other.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 struct Gap {
     /// Ground between the blocks \[m\].
     between: KeepOut,
@@ -23,21 +27,59 @@ struct Gap {
 
 /// Returns the bottlenecks of `arena`, whose own are not considered. Each is passed straight, and its mouths are free.
 pub fn portals(arena: &Arena) -> Vec<Portal> {
-    let narrow = NARROW * arena.robot_radius_m;
-    let gaps = gaps(arena).into_iter().filter(|gap| gap.width() > 2.0 * arena.robot_radius_m && gap.width() <= narrow);
-    gaps.filter_map(|gap| portal(arena, &gap)).collect()
+    let is_narrow = |width_m: f32| width_m > 2.0 * arena.robot_radius_m && width_m <= NARROW * arena.robot_radius_m;
+    let straight = gaps(arena).into_iter().filter(|gap| is_narrow(gap.width())).filter_map(|gap| {
+        let (low, high) = gap.ends();
+        portal(arena, [low, high], unit(gap.along))
+    });
+    let askew = askew(arena, is_narrow).into_iter().filter_map(|(middle, along)| {
+        let ends = [-along, along].map(|outward| middle + outward * depth_m(arena, middle, outward));
+        portal(arena, ends, along)
+    });
+    straight.chain(askew).collect()
 }
 
-/// Returns blocks that fill the gaps of `arena` which are too narrow for its robots.
+/// Returns the gaps, as wide as `is_narrow` says, between two blocks of which one is no rectangle along the axes: the
+/// middle of each, and the direction in which it is passed. They are where the blocks are nearest to each other, and
+/// nothing else is as near to the middle.
+fn askew(arena: &Arena, is_narrow: impl Fn(f32) -> bool) -> Vec<(Vec2, Vec2)> {
+    let blocks = &arena.keep_outs;
+    let rims = rims(arena);
+    let all: Vec<&KeepOut> = blocks.iter().chain(&rims).collect();
+    let mut found: Vec<(Vec2, Vec2)> = Vec::new();
+    for (at, a) in blocks.iter().enumerate() {
+        for b in all[at + 1..].iter().filter(|b| !(a.is_rect() && b.is_rect())) {
+            let (one, other) = a.nearest_pair(b);
+            let (way, middle) = (other - one, (one + other) / 2.0);
+            let half_m = way.norm() / 2.0;
+            let is_free = all.iter().all(|block| block.distance(middle) > half_m - SAME_M);
+            let is_new = found.iter().all(|(before, _)| (before - middle).norm() > arena.robot_radius_m);
+            if is_narrow(2.0 * half_m) && is_free && is_new {
+                found.push((middle, Vec2::new(-way.y, way.x) / (2.0 * half_m)));
+            }
+        }
+    }
+    found
+}
+
+/// Returns how far a gap reaches from its middle in a direction \[m\], until there is more room than in the middle.
+fn depth_m(arena: &Arena, middle: Vec2, outward: Vec2) -> f32 {
+    let radius_m = arena.robot_radius_m;
+    let room_m = |depth_m: f32| arena.clearance(middle + outward * depth_m);
+    let steps = (0..MOST_STEPS).map(|step| step as f32 * DEPTH * radius_m);
+    let wide_m = room_m(0.0) + DEPTH * radius_m;
+    steps.into_iter().find(|depth_m| room_m(*depth_m) > wide_m).unwrap_or(0.0)
+}
+
+/// Returns blocks that fill the gaps of `arena` which are too narrow for its robots, between rectangles along the axes.
 pub fn fillings(arena: &Arena) -> Vec<KeepOut> {
     let gaps = gaps(arena).into_iter().filter(|gap| gap.width() <= 2.0 * arena.robot_radius_m);
     gaps.map(|gap| gap.between).collect()
 }
 
-/// Returns the bottleneck of a gap; `None` if no robot has room at one of its ends.
-fn portal(arena: &Arena, gap: &Gap) -> Option<Portal> {
-    let (low, high) = gap.ends();
-    let along = unit(gap.along);
+/// Returns the bottleneck of a gap between two `ends`, the second one in the direction `along`; `None` if no robot has
+/// room beyond one of them.
+fn portal(arena: &Arena, [low, high]: [Vec2; 2], along: Vec2) -> Option<Portal> {
     let mouth = |end: Vec2, outward: Vec2| {
         let places = MOUTHS.map(|radii| end + outward * (radii * arena.robot_radius_m));
         let is_free = |place: &Vec2| {
@@ -55,8 +97,8 @@ fn gaps(arena: &Arena) -> Vec<Gap> {
     let rims = rims(arena);
     let all: Vec<&KeepOut> = blocks.iter().chain(&rims).collect();
     let mut found: Vec<Gap> = Vec::new();
-    for (at, a) in blocks.iter().enumerate() {
-        for b in &all[at + 1..] {
+    for (at, a) in blocks.iter().enumerate().filter(|(_, a)| a.is_rect()) {
+        for b in all[at + 1..].iter().filter(|b| b.is_rect()) {
             let gap = [0, 1].into_iter().find_map(|along| between(a, b, along));
             let overlaps = |gap: &Gap| blocks.iter().any(|block| overlap(block, &gap.between));
             found.extend(gap.filter(|gap| !overlaps(gap)));
@@ -66,8 +108,8 @@ fn gaps(arena: &Arena) -> Vec<Gap> {
     for gap in found {
         match joined.iter_mut().find(|other| other.continues(&gap)) {
             Some(other) => {
-                let KeepOut { min, max } = &mut other.between;
-                (*min, *max) = (min.inf(&gap.between.min), max.sup(&gap.between.max));
+                let (a, b) = (&other.between, &gap.between);
+                other.between = KeepOut::rect(a.min.inf(&b.min), a.max.sup(&b.max));
             }
             None => joined.push(gap),
         }
@@ -79,7 +121,7 @@ fn gaps(arena: &Arena) -> Vec<Gap> {
 fn rims(arena: &Arena) -> [KeepOut; 4] {
     let inner = arena.half_extent.add_scalar(arena.robot_radius_m);
     let outer = inner * 2.0;
-    let block = |min: [f32; 2], max: [f32; 2]| KeepOut { min: min.into(), max: max.into() };
+    let block = |min: [f32; 2], max: [f32; 2]| KeepOut::rect(min.into(), max.into());
     [
         block([-outer.x, -outer.y], [-inner.x, outer.y]),
         block([inner.x, -outer.y], [outer.x, outer.y]),
@@ -100,10 +142,10 @@ fn between(a: &KeepOut, b: &KeepOut, along: usize) -> Option<Gap> {
     }
     let (mut min, mut max) = (Vec2::zeros(), Vec2::zeros());
     (min[across], max[across], min[along], max[along]) = (from, to, low, high);
-    Some(Gap { between: KeepOut { min, max }, along })
+    Some(Gap { between: KeepOut::rect(min, max), along })
 }
 
-/// Returns whether two blocks have ground in common, beyond their rims.
+/// Returns whether the bounds of two blocks have ground in common, beyond their rims.
 fn overlap(a: &KeepOut, b: &KeepOut) -> bool {
     let size = a.max.inf(&b.max) - a.min.sup(&b.min);
     size.min() > SAME_M
@@ -120,7 +162,7 @@ impl Gap {
 
     /// Returns the middles of both ends \[m\], the one with the lower coordinate first.
     fn ends(&self) -> (Vec2, Vec2) {
-        let KeepOut { min, max } = self.between;
+        let KeepOut { min, max, .. } = self.between;
         let middle = (min + max) / 2.0;
         let (mut low, mut high) = (middle, middle);
         (low[self.along], high[self.along]) = (min[self.along], max[self.along]);
@@ -145,7 +187,7 @@ mod tests {
     use crate::scenario::{Settings, build};
 
     fn arena(half: f32, blocks: &[[f32; 4]]) -> Arena {
-        let block = |&[x, y, far_x, far_y]: &[f32; 4]| KeepOut { min: Vec2::new(x, y), max: Vec2::new(far_x, far_y) };
+        let block = |&[x, y, far_x, far_y]: &[f32; 4]| KeepOut::rect(Vec2::new(x, y), Vec2::new(far_x, far_y));
         let keep_outs = blocks.iter().map(block).collect();
         Arena { half_extent: Vec2::repeat(half), keep_outs, portals: Vec::new(), robot_radius_m: 0.25 }
     }
@@ -164,6 +206,29 @@ mod tests {
     }
 
     #[test]
+    fn doors_between_discs_and_askew_walls_are_found() {
+        let disc = |x: f32, y: f32| KeepOut::disc(Vec2::new(x, y), 0.5);
+        let (half_extent, robot_radius_m) = (Vec2::repeat(4.0), 0.25);
+        let of = |keep_outs| Arena { half_extent, keep_outs, portals: Vec::new(), robot_radius_m };
+        let found = portals(&of(vec![disc(-0.9, 0.0), disc(0.9, 0.0)]));
+        let [Portal { near, far }] = found[..] else { panic!("{found:?}") };
+        assert!(near.x.abs() < 1e-4 && far.x.abs() < 1e-4 && near.y * far.y < 0.0, "{found:?}");
+        assert!((0.5..1.0).contains(&far.y.abs()), "{found:?}");
+        assert_eq!(portals(&of(vec![disc(-1.2, 0.0), disc(1.2, 0.0)])), [], "two robots pass there");
+        assert_eq!(portals(&of(vec![disc(-0.7, 0.0), disc(0.7, 0.0)])), [], "none passes there");
+        // A wall along the diagonal, with a gap of 0.8 m in its middle.
+        let wall = |from: f32, to: f32| {
+            let along = |at: f32| Vec2::repeat(at / 2.0f32.sqrt());
+            let beside = Vec2::new(0.1, -0.1);
+            KeepOut::polygon(vec![along(from) + beside, along(to) + beside, along(to) - beside, along(from) - beside])
+        };
+        let found = portals(&of(vec![wall(-4.0, -0.4), wall(0.4, 4.0)]));
+        let [Portal { near, far }] = found[..] else { panic!("{found:?}") };
+        assert!((near + far).norm() < 0.05 && (near.x + near.y).abs() < 0.05, "{found:?}");
+        assert!((0.4..0.9).contains(&near.norm()), "{found:?}");
+    }
+
+    #[test]
     fn gaps_at_the_rim_in_two_layers_and_too_narrow_ones_are_told_apart() {
         // A wall in two layers with a door at its right end, and one with a slit.
         let arena =
@@ -171,6 +236,6 @@ mod tests {
         let found = portals(&arena);
         let [Portal { near, far }] = found[..] else { panic!("{found:?}") };
         assert!((near - Vec2::new(1.725, -0.7)).norm() < 1e-5 && (far - Vec2::new(1.725, 0.7)).norm() < 1e-5);
-        assert!(fillings(&arena).contains(&KeepOut { min: Vec2::new(0.0, 1.5), max: Vec2::new(0.3, 2.0) }));
+        assert!(fillings(&arena).contains(&KeepOut::rect(Vec2::new(0.0, 1.5), Vec2::new(0.3, 2.0))));
     }
 }

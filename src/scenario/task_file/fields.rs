@@ -3,7 +3,10 @@
 use serde::Deserialize;
 
 use crate::config::{self, ConfigError, in_range};
-use crate::scenario::Weights;
+use crate::messages::geometry::Vec2;
+use crate::scenario::KeepOut;
+use crate::scenario::polygon::Polygon;
+use crate::scenario::{Goals, Weights};
 
 /// Longest text of a task file \[bytes\]; files that people write have a few thousand.
 pub const LONGEST: usize = 256 << 10;
@@ -19,6 +22,8 @@ const LONGEST_ABOUT: usize = 200;
 const MOST_ROBOTS: usize = 2000;
 /// Largest number of walls and obstacles together. Scripted navigation compares all of their corners with each other.
 pub const MOST_BLOCKS: usize = 100;
+/// Largest number of corners of a polygon.
+const MOST_CORNERS: usize = 64;
 /// Largest number of areas and of points in one of them.
 const MOST_AREAS: usize = 2000;
 /// Shortest and longest time limit of an episode \[s\].
@@ -37,8 +42,11 @@ pub struct Fields {
     pub about: String,
     /// Team sizes.
     pub robots: Robots,
-    /// Half the size of the ground along x and y \[m\]: largest distance of a robot's centre from the middle.
-    pub half_extent_m: [f32; 2],
+    /// Half the size of the ground along x and y \[m\]: largest distance of a robot's centre from the middle. `None`
+    /// for a ground that is a polygon.
+    pub half_extent_m: Option<[f32; 2]>,
+    /// Ground that is a polygon, whose sides are walls.
+    pub ground: Option<Shape>,
     /// Radius of a robot's hull \[m\].
     #[serde(default = "paper_hull")]
     pub hull_m: f32,
@@ -58,6 +66,9 @@ pub struct Fields {
     pub exchange: Option<Vec<Shape>>,
     /// Places \[m\] of which each robot has one, and in each episode gets that of another.
     pub places: Option<Vec<[f32; 2]>>,
+    /// Whether each robot has a goal of its own, or any robot may go to any.
+    #[serde(default)]
+    pub goals: Goals,
     /// Criteria for success and failure of an episode.
     pub rules: RuleFields,
     /// Weights of the terms of the reward in training, in place of those of a preset.
@@ -88,18 +99,24 @@ pub enum Shape {
     Rect([f32; 4]),
     /// Disc: x and y of its centre, then its radius.
     Disc([f32; 3]),
+    /// Polygon: its corners, in either order of rotation.
+    Polygon(Vec<[f32; 2]>),
     /// Formation: points, of which each robot of the team takes one.
     Points(Vec<[f32; 2]>),
 }
 
-/// Rectangular obstacles of one size, which are drawn within bounds: once, or for each episode.
-#[derive(Clone, Copy, Debug, Deserialize)]
+/// Obstacles of one shape and size, which are drawn within bounds: once, or for each episode.
+#[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Obstacles {
     /// Number of obstacles.
     pub count: usize,
-    /// Size along x and y \[m\].
-    pub size_m: [f32; 2],
+    /// Size of rectangles along x and y \[m\].
+    pub size_m: Option<[f32; 2]>,
+    /// Radius of discs \[m\].
+    pub radius_m: Option<f32>,
+    /// Corners of convex polygons \[m\], wherever their origin is.
+    pub polygon: Option<Vec<[f32; 2]>>,
     /// Bounds within which they lie \[m\]: smallest x and y, then largest x and y.
     pub within: [f32; 4],
     /// Seed of the draw. Without `each_episode` the obstacles are the same in every run of the file.
@@ -162,9 +179,7 @@ impl Fields {
             return wrong("about", format!("it is not one line of at most {LONGEST_ABOUT} characters"));
         }
         self.check_robots()?;
-        for (axis, half_m) in self.half_extent_m.into_iter().enumerate() {
-            in_range(&format!("half_extent_m[{axis}]"), half_m, (SMALLEST_M, FARTHEST_M))?;
-        }
+        self.check_ground()?;
         in_range("hull_m", self.hull_m, crate::scenario::size::HULLS_M)?;
         self.check_blocks()?;
         self.check_areas()?;
@@ -186,6 +201,29 @@ impl Fields {
         in_range("robots.default", default, (least, most))
     }
 
+    fn check_ground(&self) -> Result<(), ConfigError> {
+        match (self.half_extent_m, &self.ground) {
+            (Some(half_extent_m), None) => half_extent_m.into_iter().enumerate().try_for_each(|(axis, half_m)| {
+                in_range(&format!("half_extent_m[{axis}]"), half_m, (SMALLEST_M, FARTHEST_M))
+            }),
+            (None, Some(ground @ Shape::Polygon(_))) => ground.check("ground"),
+            (None, Some(_)) => {
+                Err(ConfigError::field("ground", "it is a polygon: { polygon = [[x, y], ...] }; else half_extent_m"))
+            }
+            (Some(_), Some(_)) => {
+                Err(ConfigError::field("ground", "there is 'half_extent_m' already: leave one of them out"))
+            }
+            (None, None) => Err(ConfigError::field("half_extent_m", "it is missing: give it, or a ground")),
+        }
+    }
+
+    /// Returns the largest distance of a robot's centre from the middle along x and y \[m\].
+    pub fn half_extent(&self) -> Vec2 {
+        let polygon = self.ground.as_ref().and_then(|ground| ground.polygon(1.0));
+        let given = || Vec2::from(self.half_extent_m.expect("it is given without a ground: the check says so"));
+        polygon.map_or_else(given, |polygon| polygon.half_extent())
+    }
+
     fn check_blocks(&self) -> Result<(), ConfigError> {
         let drawn = self.obstacles.iter().fold(0usize, |sum, obstacles| sum.saturating_add(obstacles.count));
         if drawn.saturating_add(self.walls.len()) > MOST_BLOCKS {
@@ -195,23 +233,12 @@ impl Fields {
         }
         for (at, wall) in self.walls.iter().enumerate() {
             let field = format!("walls[{at}]");
-            match wall {
-                Shape::Rect(_) => wall.check(&field)?,
-                Shape::Disc(_) | Shape::Points(_) => {
-                    return Err(ConfigError::field(field, "a wall is a rectangle: { rect = [x, y, x, y] }"));
-                }
+            if let Shape::Points(_) = wall {
+                return Err(ConfigError::field(field, "a wall is a rect, a disc or a polygon"));
             }
+            wall.check(&field)?;
         }
-        for (at, Obstacles { count, size_m, within: bounds, .. }) in self.obstacles.iter().enumerate() {
-            let field = format!("obstacles[{at}]");
-            in_range(&format!("{field}.count"), *count, (1, MOST_BLOCKS))?;
-            check_rect(&format!("{field}.within"), *bounds)?;
-            for axis in 0..2 {
-                let room_m = bounds[axis + 2] - bounds[axis];
-                in_range(&format!("{field}.size_m[{axis}]"), size_m[axis], (SMALLEST_M, room_m))?;
-            }
-        }
-        Ok(())
+        self.obstacles.iter().enumerate().try_for_each(|(at, of)| of.check(&format!("obstacles[{at}]")))
     }
 
     /// Checks that the file says where robots start and go to.
@@ -248,6 +275,10 @@ impl Fields {
             within_count("exchange", areas.len(), 2)?;
             areas.iter().enumerate().try_for_each(|(at, area)| area.check(&format!("exchange[{at}]")))?;
         }
+        if self.goals.are_unlabelled() && self.places.is_some() {
+            let why = "robots would stand at unlabelled goals before they begin: give start and goal, area or exchange";
+            return Err(ConfigError::field("places", why));
+        }
         if let Some(places) = &self.places {
             within_count("places", places.len(), self.robots.most.max(2))?;
             check_points("places", places)?;
@@ -256,9 +287,74 @@ impl Fields {
     }
 }
 
+impl Obstacles {
+    fn check(&self, field: &str) -> Result<(), ConfigError> {
+        in_range(&format!("{field}.count"), self.count, (1, MOST_BLOCKS))?;
+        check_rect(&format!("{field}.within"), self.within)?;
+        let [left, low, right, high] = self.within;
+        let room_m = [right - left, high - low];
+        match (&self.size_m, &self.radius_m, &self.polygon) {
+            (Some(size_m), None, None) => (0..2).try_for_each(|axis| {
+                in_range(&format!("{field}.size_m[{axis}]"), size_m[axis], (SMALLEST_M, room_m[axis]))
+            }),
+            (None, Some(radius_m), None) => {
+                in_range(&format!("{field}.radius_m"), *radius_m, (SMALLEST_M, room_m[0].min(room_m[1]) / 2.0))
+            }
+            (None, None, Some(corners)) => {
+                let field = format!("{field}.polygon");
+                let [block] = &check_polygon(&field, corners)?.inside()[..] else {
+                    return Err(ConfigError::field(field, "it is not convex, as an obstacle has to be"));
+                };
+                let size_m = block.max - block.min;
+                if size_m.x > room_m[0] || size_m.y > room_m[1] {
+                    return Err(ConfigError::field(field, format!("it is larger than {:?} m, its bounds", room_m)));
+                }
+                Ok(())
+            }
+            _ => Err(ConfigError::field(format!("{field}.size_m"), "give one of size_m, radius_m and polygon")),
+        }
+    }
+
+    /// Returns one of the obstacles, somewhere \[m\]; a rectangle has its smallest x and y at the origin.
+    pub fn block(&self, scale: f32) -> KeepOut {
+        let of_file = "one is given, and it is sound: the check says so";
+        match (&self.size_m, &self.radius_m, &self.polygon) {
+            (Some(size_m), ..) => KeepOut::rect(Vec2::zeros(), Vec2::from(*size_m) * scale),
+            (_, Some(radius_m), _) => KeepOut::disc(Vec2::zeros(), radius_m * scale),
+            (.., corners) => {
+                let polygon = polygon(corners.as_ref().expect(of_file), scale).expect(of_file);
+                polygon.inside().swap_remove(0)
+            }
+        }
+    }
+}
+
 impl Shape {
+    /// Returns the blocks that fill a shape whose lengths are multiplied by `scale`; none for a formation.
+    pub fn blocks(&self, scale: f32) -> Vec<KeepOut> {
+        match self {
+            Shape::Rect([x, y, far_x, far_y]) => {
+                vec![KeepOut::rect(Vec2::new(*x, *y) * scale, Vec2::new(*far_x, *far_y) * scale)]
+            }
+            Shape::Disc([x, y, radius_m]) => vec![KeepOut::disc(Vec2::new(*x, *y) * scale, radius_m * scale)],
+            Shape::Polygon(corners) => {
+                polygon(corners, scale).expect("it is sound: the check of the fields says so").inside()
+            }
+            Shape::Points(_) => Vec::new(),
+        }
+    }
+
+    /// Returns the polygon, with lengths multiplied by `scale`; `None` for another shape.
+    pub fn polygon(&self, scale: f32) -> Option<Polygon> {
+        match self {
+            Shape::Polygon(corners) => polygon(corners, scale).ok(),
+            _ => None,
+        }
+    }
+
     fn check(&self, field: &str) -> Result<(), ConfigError> {
         match self {
+            Shape::Polygon(corners) => check_polygon(&format!("{field}.polygon"), corners).map(drop),
             Shape::Rect(rect) => check_rect(&format!("{field}.rect"), *rect),
             Shape::Disc([x, y, radius_m]) => {
                 for (at, coordinate) in [x, y].into_iter().enumerate() {
@@ -281,6 +377,19 @@ fn check_points(field: &str, points: &[[f32; 2]]) -> Result<(), ConfigError> {
         }
     }
     Ok(())
+}
+
+fn polygon(corners: &[[f32; 2]], scale: f32) -> Result<Polygon, &'static str> {
+    Ok(Polygon::of(corners.iter().map(|corner| Vec2::from(*corner)).collect())?.scaled(scale))
+}
+
+fn check_polygon(field: &str, corners: &[[f32; 2]]) -> Result<Polygon, ConfigError> {
+    if corners.len() > MOST_CORNERS {
+        let why = format!("it has {} corners, more than {MOST_CORNERS}", corners.len());
+        return Err(ConfigError::field(field, why));
+    }
+    check_points(field, corners)?;
+    polygon(corners, 1.0).map_err(|why| ConfigError::field(field, why))
 }
 
 fn check_rect(field: &str, rect: [f32; 4]) -> Result<(), ConfigError> {

@@ -16,16 +16,17 @@ use std::sync::{Arc, OnceLock};
 pub use behaviour::{Behaviour, EpisodeStep};
 use rand::RngExt;
 
-use self::areas::{apart_m, least_m};
-use self::fields::{Fields, Obstacles, Shape};
+use self::areas::least_m;
+use self::fields::{Fields, MOST_BLOCKS, Obstacles, Shape};
 use self::places::Places;
 use self::ways::Ways;
-use super::arena::{Arena, KeepOut};
+use super::arena::Arena;
+use super::block::KeepOut;
 use super::size::Size;
-use super::{Rules, Scenario, ScenarioError, Settings, TeamSizes, Weights};
+use super::{Goals, Rules, Scenario, ScenarioError, Settings, TeamSizes, Weights, goals};
 use crate::config::ConfigError;
 use crate::messages::geometry::{Task, Vec2};
-use crate::observation::PolicyFrame;
+use crate::observation::{Channel, PolicyFrame};
 use crate::random::{Seed, Stream};
 use crate::time::Span;
 
@@ -176,20 +177,20 @@ impl TaskFile {
 
     /// Returns the ground with its walls, the obstacles that are drawn, and the doors between them.
     fn arena(&self, size: Size) -> Result<Arena, ConfigError> {
-        let rect = |[x, y, far_x, far_y]: [f32; 4]| KeepOut {
-            min: Vec2::new(x, y) * size.scale,
-            max: Vec2::new(far_x, far_y) * size.scale,
-        };
-        let walls = self.fields.walls.iter().map(|wall| match wall {
-            Shape::Rect(corners) => rect(*corners),
-            Shape::Disc(_) | Shape::Points(_) => unreachable!("walls are rectangles: the check of the fields says so"),
-        });
-        let mut arena = Arena {
-            half_extent: Vec2::from(self.fields.half_extent_m) * size.scale,
-            keep_outs: walls.collect(),
-            portals: Vec::new(),
-            robot_radius_m: size.robot_radius_m(),
-        };
+        let (half_extent, robot_radius_m) = (self.fields.half_extent() * size.scale, size.robot_radius_m());
+        let mut keep_outs: Vec<KeepOut> = self.fields.walls.iter().flat_map(|wall| wall.blocks(size.scale)).collect();
+        if let Some(ground) = self.fields.ground.as_ref().and_then(|ground| ground.polygon(size.scale)) {
+            // As far as robots reach whose centres stay on the ground.
+            keep_outs.extend(ground.outside(half_extent.add_scalar(robot_radius_m)));
+        }
+        let drawn: usize = self.fields.obstacles.iter().map(|obstacles| obstacles.count).sum();
+        if keep_outs.len() + drawn > MOST_BLOCKS {
+            let field = if self.fields.ground.is_some() { "ground" } else { "walls" };
+            let why =
+                format!("with the parts of polygons that are not convex there are more than {MOST_BLOCKS} blocks");
+            return Err(ConfigError::field(field, why));
+        }
+        let mut arena = Arena { half_extent, keep_outs, portals: Vec::new(), robot_radius_m };
         let given: Vec<Vec2> = self.points().into_iter().map(|point| point * size.scale).collect();
         for (at, obstacles) in self.drawn(false) {
             let stream = Seed::of_run(u64::from(obstacles.seed)).stream(&format!("task-file/obstacles/{at}"));
@@ -214,7 +215,7 @@ impl TaskFile {
         let shapes = start.iter().chain(goal).chain(area).chain(exchange.iter().flatten());
         let points = shapes.filter_map(|shape| match shape {
             Shape::Points(points) => Some(points),
-            Shape::Rect(_) | Shape::Disc(_) => None,
+            Shape::Rect(_) | Shape::Disc(_) | Shape::Polygon(_) => None,
         });
         points.chain(places).flatten().map(|point| Vec2::from(*point)).collect()
     }
@@ -228,15 +229,14 @@ fn no_room(obstacles: &Obstacles) -> String {
 /// number, which is smaller than that in the file where there is no room for more.
 fn draw(arena: &mut Arena, (obstacles, mut stream): (&Obstacles, Stream), scale: f32, places: &[Vec2]) -> usize {
     let [low, far] = [[0, 1], [2, 3]].map(|axes| Vec2::from(axes.map(|axis| obstacles.within[axis])) * scale);
-    let size = Vec2::from(obstacles.size_m) * scale;
-    let room = (far - low - size).sup(&Vec2::zeros());
+    let obstacle = obstacles.block(scale);
+    let room = (far - low - (obstacle.max - obstacle.min)).sup(&Vec2::zeros());
     for drawn in 0..obstacles.count {
         let block = (0..TRIES).find_map(|_| {
             let share = Vec2::new(stream.random_range(0.0..=1.0), stream.random_range(0.0..=1.0));
-            let min = low + room.component_mul(&share);
-            let block = KeepOut { min, max: min + size };
+            let block = obstacle.moved(low + room.component_mul(&share) - obstacle.min);
             let others = &arena.keep_outs;
-            let is_free = others.iter().all(|other| apart_m(other, &block) >= FREE * arena.robot_radius_m)
+            let is_free = others.iter().all(|other| other.apart_m(&block) >= FREE * arena.robot_radius_m)
                 && places.iter().all(|place| block.distance(*place) >= least_m(arena));
             is_free.then_some(block)
         });
@@ -302,6 +302,14 @@ impl Scenario for FromFile {
 
     fn frame(&self, _: &Task) -> PolicyFrame {
         PolicyFrame::World
+    }
+
+    fn goals(&self) -> Goals {
+        self.file.fields.goals
+    }
+
+    fn channels(&self) -> Vec<Channel> {
+        if self.goals().are_unlabelled() { vec![goals::channel(self.robots)] } else { Vec::new() }
     }
 
     fn distance_to_go(&self, task: &Task, position: Vec2) -> f32 {

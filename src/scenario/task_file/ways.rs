@@ -6,7 +6,7 @@
 
 use super::doors::fillings;
 use crate::messages::geometry::Vec2;
-use crate::scenario::arena::{Arena, KeepOut};
+use crate::scenario::{Arena, KeepOut};
 
 /// Distance that paths keep from blocks, in radii of the robots.
 const MARGIN: f32 = 0.5;
@@ -32,12 +32,10 @@ impl Ways {
         let margin_m = MARGIN * arena.robot_radius_m;
         let nowhere_m = 4.0 * (arena.half_extent.x + arena.half_extent.y);
         let mut ways = Ways { blocks, margin_m, corners: Vec::new(), lengths_m: Vec::new(), nowhere_m };
-        let corners = ways.blocks.iter().flat_map(|block| corners(block, margin_m + BESIDE_M));
+        let corners = ways.blocks.iter().flat_map(|block| block.turns(margin_m + BESIDE_M));
         let is_free = |corner: &Vec2| {
             let on_ground = corner.x.abs() <= arena.half_extent.x && corner.y.abs() <= arena.half_extent.y;
-            // The distance of the paths, along both axes.
-            let inside = |block: &KeepOut| (corner - block.nearest(*corner)).abs().max() < margin_m;
-            on_ground && !ways.blocks.iter().any(inside)
+            on_ground && !ways.blocks.iter().any(|block| block.is_within(*corner, margin_m))
         };
         let corners: Vec<Vec2> = corners.filter(is_free).collect();
         ways.corners = corners;
@@ -99,12 +97,6 @@ impl Ways {
     }
 }
 
-/// Returns the corners \[m\] of a block enlarged by `margin_m` \[m\] on each side.
-fn corners(block: &KeepOut, margin_m: f32) -> [Vec2; 4] {
-    let [low, high] = [block.min.add_scalar(-margin_m), block.max.add_scalar(margin_m)];
-    [low, Vec2::new(high.x, low.y), high, Vec2::new(low.x, high.y)]
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -132,7 +124,7 @@ mod tests {
 
     #[test]
     fn every_length_is_at_least_a_straight_line_and_a_closed_room_is_far() {
-        let wall = KeepOut { min: Vec2::new(-2.0, -0.1), max: Vec2::new(2.0, 0.1) };
+        let wall = KeepOut::rect(Vec2::new(-2.0, -0.1), Vec2::new(2.0, 0.1));
         let closed =
             Arena { half_extent: Vec2::repeat(2.0), keep_outs: vec![wall], portals: vec![], robot_radius_m: 0.25 };
         let (from, to) = (Vec2::new(0.0, -1.0), Vec2::new(0.0, 1.0));

@@ -32,19 +32,8 @@ fn network(args: &Args, fitted: &Conditions, mut deployment: Deployment) -> Resu
     if args.impair.is_some() && args.delay_ms == 0.0 && args.loss == 0.0 {
         return bad("--impair: there is neither delay nor loss; add --delay-ms or --loss".to_owned());
     }
-    for (flag, value, most) in [("--delay-ms", args.delay_ms, 60_000.0), ("--loss", args.loss, 1.0)] {
-        if !(0.0..=most).contains(&value) {
-            return bad(format!("{flag}: {value} is not 0 to {most}"));
-        }
-    }
-    if args.delay_ms > 0.0 || args.loss > 0.0 {
-        let impair = if args.impair.as_deref() == Some("all") { Impair::All } else { Impair::Latent };
-        let flag = if args.delay_ms > 0.0 { "--delay-ms" } else { "--loss" };
-        let given = |value: f64| Some(value).filter(|value| *value > 0.0);
-        deployment = deployment
-            .impaired(given(args.delay_ms / 1000.0), given(args.loss), impair)
-            .map_err(|e| BadInput(format!("{flag}: {e}")))?;
-    }
+    let impair = if args.impair.as_deref() == Some("all") { Impair::All } else { Impair::Latent };
+    deployment = deployment::impaired(deployment, (args.delay_ms, args.loss), impair)?;
     if args.delay_ms == 0.0 && args.loss == 0.0 && fitted.impair() {
         deployment = fitted.links(deployment).map_err(|e| BadInput(format!("--conditions: {e}")))?;
     }

@@ -41,6 +41,11 @@ pub fn config_text(args: &Args, registry: &Registry) -> Result<String> {
 /// Returns the plan of a training (scenario, preset, configuration, seed) that the flags define. The groups of robots
 /// in a preset are scaled to the size of the team.
 fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
+    let settings = args.size.over(Settings { robots: args.robots, ..Settings::default() });
+    if registry.scenario(&args.scenario, &settings).is_ok_and(|scenario| scenario.goals().are_unlabelled()) {
+        let why = "its goals are unlabelled, and a policy of 'train' observes one goal of its own; train in Python";
+        return Err(BadInput(format!("{}: {why}", args.scenario)).into());
+    }
     let preset = args.preset.as_deref().unwrap_or(PRESET);
     let (mut config, preset) = match &args.config {
         Some(path) => {

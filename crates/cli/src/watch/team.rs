@@ -137,6 +137,7 @@ impl Page {
             hears_links: false,
             hears_results: events.is_some(),
             drawn: drawn.clone(),
+            unlabelled: scenario.goals().are_unlabelled(),
             ..Scene::of_arena(scenario.arena())
         };
         let homes = RobotId::team(deployment.robots).map(|robot| routes.agent_host(robot)).collect();

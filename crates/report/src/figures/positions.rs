@@ -90,10 +90,14 @@ fn draw(area: &Area, column: &Positions, arena: &Arena, most: f64) -> Drawn {
     }))?;
     for block in &arena.keep_outs {
         let corners = [block.min, block.max].map(|corner| (f64::from(corner.x), f64::from(corner.y)));
-        chart.draw_series([
-            Rectangle::new(corners, GREY.mix(0.85).filled()),
-            Rectangle::new(corners, BLACK.stroke_width(1)),
-        ])?;
+        let rim: Vec<(f64, f64)> = block.solid().rim().into_iter().map(|[x, y]| (x.into(), y.into())).collect();
+        if block.is_rect() {
+            chart.draw_series([Rectangle::new(corners, GREY.mix(0.85).filled())])?;
+        } else {
+            chart.draw_series([Polygon::new(rim.clone(), GREY.mix(0.85).filled())])?;
+        }
+        let closed = rim.iter().chain(rim.first()).copied();
+        chart.draw_series([PathElement::new(closed.collect::<Vec<_>>(), BLACK.stroke_width(1))])?;
     }
     let ends = [(-half.0, -half.1), (half.0, half.1)];
     chart.draw_series([Rectangle::new(ends, BLACK.stroke_width(1))])?;

@@ -129,27 +129,27 @@ impl Chunk {
 
     /// Takes the present state of an environment as that before its next step.
     pub(super) fn forget(&mut self, options: &Options, row: usize) {
-        for robot in self.environments.teams[row].range() {
-            self.before[robot] = (Contacts::default(), self.to_go_m(options, row, robot));
+        let to_go_m = self.to_go_m(options, row);
+        for (robot, to_go_m) in self.environments.teams[row].range().zip(to_go_m) {
+            self.before[robot] = (Contacts::default(), to_go_m);
         }
     }
 
-    /// Returns the length of a robot's remaining path \[m\].
-    fn to_go_m(&self, options: &Options, row: usize, robot: usize) -> f32 {
+    /// Returns the lengths of the remaining paths of the robots of an environment \[m\].
+    fn to_go_m(&self, options: &Options, row: usize) -> Vec<f32> {
         let all = &self.environments;
-        // A reward for progress has just computed it.
+        // A reward for progress has just computed them.
         match options.reward.progress > 0.0 {
-            true => all.to_go_m[robot],
-            false => all.scenario(row).distance_to_go(&all.tasks[robot], all.point(robot).position),
+            true => all.to_go_m[all.teams[row].range()].to_vec(),
+            false => all.lengths_to_go_m(row),
         }
     }
 
     fn add_states(&self, options: &Options, row: usize, states: &mut TeamStates) {
         let all = &self.environments;
         let pair = |vector: Vec2| [vector.x, vector.y];
-        for robot in all.teams[row].range() {
+        for (robot, to_go_m) in all.teams[row].range().zip(self.to_go_m(options, row)) {
             let (Motion { position, velocity }, task) = (all.point(robot), &all.tasks[robot]);
-            let to_go_m = self.to_go_m(options, row, robot);
             let (contacts, before_m) = self.before.get(robot).copied().unwrap_or((Contacts::default(), to_go_m));
             states.position.push(pair(position));
             states.velocity.push(pair(velocity));

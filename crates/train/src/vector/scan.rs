@@ -52,10 +52,7 @@ mod tests {
         let (arena, range) = (all.arena(row), all.teams[row].range());
         let solid = |point: Vec2| {
             let near = |other: usize| (all.position[other] - point).norm() <= arena.hull_m();
-            let block = arena
-                .keep_outs
-                .iter()
-                .any(|block| (point - block.min).min() >= 0.0 && (block.max - point).min() >= 0.0);
+            let block = arena.keep_outs.iter().any(|block| block.distance(point) == 0.0);
             let outside = (point.abs() - arena.half_extent).max() >= arena.hull_m();
             block || outside || range.clone().any(|other| other != robot && near(other))
         };

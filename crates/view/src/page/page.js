@@ -120,7 +120,7 @@ function unheard() { return scene.record && scene.record.note || "links between 
 function reachWalls() {
   const edge = scene.half_extent.map(half => half + scene.hull_m);
   const to = (at, axis) => Math.abs(at) >= scene.half_extent[axis] - 1e-3 ? Math.sign(at) * edge[axis] : at;
-  const reach = walls => walls.map(([x, y, x2, y2]) => [to(x, 0), to(y, 1), to(x2, 0), to(y2, 1)]);
+  const reach = walls => walls.map(wall => Array.isArray(wall) ? wall.map((at, k) => to(at, k % 2)) : wall);
   scene.walls = reach(scene.walls);
   scene.drawn = scene.drawn.map(reach);
 }
@@ -385,7 +385,7 @@ function draw() {
   pen.lineWidth = pixel; pen.strokeStyle = colours.line;
   pen.strokeRect(-edge[0], -edge[1], 2 * edge[0], 2 * edge[1]);
   pen.fillStyle = colours.wall;
-  for (const [x, y, x2, y2] of wallsNow()) pen.fillRect(x, y, x2 - x, y2 - y);
+  wallsNow().forEach(drawWall);
   if (!world) return;
   const n = world.getUint16(2, true), at = positions(world, n);
   keepTrail(at);
@@ -398,6 +398,15 @@ function draw() {
   counts.drawMs += performance.now() - began;
   counts.drawn++;
   window.murmurate.view = { ...view };
+}
+
+// A wall is a rectangle along the axes, [x, y, x, y], a disc or a polygon.
+function drawWall(wall) {
+  if (Array.isArray(wall)) return pen.fillRect(wall[0], wall[1], wall[2] - wall[0], wall[3] - wall[1]);
+  pen.beginPath();
+  if (wall.disc) pen.arc(...wall.disc, 0, 2 * Math.PI);
+  else for (const corner of wall.polygon) pen.lineTo(...corner);
+  pen.fill();
 }
 
 function keepTrail(at) {
@@ -501,12 +510,13 @@ function drawGoals(at, hull, pixel) {
   pen.strokeStyle = colours.goal; pen.lineWidth = 1.5 * pixel;
   pen.beginPath();
   const shown = goals.map((goal, robot) => [goal, robot]).filter(([goal, robot]) =>
-    goal && (chosen === null || robot === chosen));
+    goal && (chosen === null || scene.unlabelled || robot === chosen));
   for (const [[x, y]] of shown) {
     pen.moveTo(x - arm, y - arm); pen.lineTo(x + arm, y + arm);
     pen.moveTo(x - arm, y + arm); pen.lineTo(x + arm, y - arm);
   }
   pen.stroke();
+  if (scene.unlabelled) return;
   if (shown.length <= MANY_GOALS) drawGoalNumbers(shown, arm, pixel);
   if (goals.length > MANY_GOALS && chosen === null) return;
   pen.globalAlpha = 0.5; pen.lineWidth = pixel; pen.setLineDash([2 * pixel, 5 * pixel]);

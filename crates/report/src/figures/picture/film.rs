@@ -5,6 +5,7 @@ use serde_json::{Value, json};
 use super::scene::{Scan, Scene, SceneFrame};
 use super::sheet::{LOOK, escaped, walls};
 use murmurate::messages::geometry::Vec2;
+use murmurate::scenario::Solid;
 use murmurate::time::Span;
 
 /// HTML of the page, with `{title}`, `{look}` and `{data}` to be filled in.
@@ -41,14 +42,22 @@ fn ms(span: Span) -> u64 {
     (span.as_secs() * 1000.0).round() as u64
 }
 
+/// Returns a wall in integer millimetres: a list of coordinates for a rectangle, an object for other shapes.
+fn wall(wall: &Solid) -> Value {
+    match wall {
+        Solid::Rect(corners) => json!(corners.map(mm)),
+        Solid::Disc { disc } => json!({ "disc": disc.map(mm) }),
+        Solid::Polygon { polygon } => json!({ "polygon": polygon.iter().map(|at| at.map(mm)).collect::<Vec<_>>() }),
+    }
+}
+
 /// Returns the data of every `stride`th frame and of the last one, in integer millimetres and milliseconds.
 fn json(scene: &Scene, stride: usize) -> String {
     let stage = &scene.stage;
     let last = scene.frames.len() - 1;
     let shown = |(at, _): &(usize, &SceneFrame)| at.is_multiple_of(stride) || *at == last;
     let frames: Vec<&SceneFrame> = scene.frames.iter().enumerate().filter(shown).map(|(_, frame)| frame).collect();
-    let walls: Vec<[i64; 4]> =
-        walls(stage).iter().map(|[min, max]| [mm(min.x), mm(min.y), mm(max.x), mm(max.y)]).collect();
+    let walls: Vec<Value> = walls(stage).iter().map(wall).collect();
     let rings: Vec<Value> = scene
         .ending
         .rings
@@ -63,6 +72,7 @@ fn json(scene: &Scene, stride: usize) -> String {
         "arrival": mm(stage.rules.arrival_m),
         "walls": walls,
         "goals": stage.tasks.iter().map(|task| point(task.goal)).collect::<Vec<_>>(),
+        "unlabelled": stage.goals.are_unlabelled(),
         "arrivals": scene.arrivals().into_iter().map(|at| at.map(ms)).collect::<Vec<_>>(),
         "window": ms(stage.window),
         "letters": LETTERS,

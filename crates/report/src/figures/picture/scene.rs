@@ -12,7 +12,7 @@ use murmurate::results::episode::Episode;
 use murmurate::results::sensing::Sensing;
 use murmurate::results::totals::{Hearing, Step};
 use murmurate::scenario::judge::{Judge, JudgedRobot, Verdict};
-use murmurate::scenario::{Arena, Cost, Rules};
+use murmurate::scenario::{Arena, Cost, Goals, Rules, goals};
 use murmurate::time::{Span, Time};
 
 /// Shortest time between two frames; robots move little in it.
@@ -39,6 +39,8 @@ pub struct Backdrop<'a> {
     pub rules: Rules,
     /// Cost by which the episode is judged; `None` in a scenario with goals.
     pub cost: Option<Cost>,
+    /// To whom the goals belong.
+    pub goals: Goals,
     /// Radius of the robots' hulls \[m\].
     pub radius_m: f32,
     /// Age from which on a neighbour's message is old: a line between robots is then drawn with the least opacity.
@@ -52,6 +54,21 @@ pub struct Backdrop<'a> {
 }
 
 impl Backdrop<'_> {
+    /// Returns for each goal whether it is reached by robots whose points are at `points` \[m\], world frame. That of a
+    /// robot's own task also is if it was `before`.
+    fn reached(&self, points: &[Vec2], before: &[bool]) -> Vec<bool> {
+        let (goals, arrival_m) = (|| self.tasks.iter().map(|task| task.goal), self.rules.arrival_m);
+        match self.goals {
+            Goals::Labelled => {
+                let near = goals().zip(points).map(|(goal, point)| (goal - point).norm() <= arrival_m);
+                near.zip(before).map(|(near, before)| near || *before).collect()
+            }
+            Goals::Unlabelled => {
+                goals::held(self.tasks.len(), points.iter().map(|point| goals::goal_at(goals(), *point, arrival_m)))
+            }
+        }
+    }
+
     /// Returns the position of the point that a robot's policy commands \[m\], world frame.
     fn point(&self, sample: &Sample) -> Vec2 {
         self.chassis[sample.robot.index()].point_of(sample)
@@ -153,7 +170,7 @@ impl<'a> Scene<'a> {
             (None, _) => steps.first().map_or(Time::ZERO, time),
         };
         let mut judge = Judge::new(stage.rules, stage.tasks.iter().map(|task| task.goal).collect());
-        judge = judge.with_cost(stage.cost);
+        judge = judge.with_cost(stage.cost).with_goals(stage.goals);
         let (mut frames, mut contact, mut arrived): (Vec<SceneFrame>, _, _) =
             (Vec::new(), None, vec![false; stage.tasks.len()]);
         frames.extend(before.map(|step| frame(&stage, Span::ZERO, step)));
@@ -169,9 +186,8 @@ impl<'a> Scene<'a> {
                     contacts: s.contacts,
                 })
                 .collect();
-            for ((arrived, task), seen) in arrived.iter_mut().zip(stage.tasks).zip(&seen) {
-                *arrived |= (task.goal - seen.point).norm() <= stage.rules.arrival_m;
-            }
+            let points: Vec<Vec2> = seen.iter().map(|seen| seen.point).collect();
+            arrived = stage.reached(&points, &arrived);
             let over = judge.update(after, &seen).is_some();
             let touches = contact.is_none().then(|| touching(&stage, after, &seen)).flatten();
             let due = frames.last().is_none_or(|last| last.time + FRAME <= after);
@@ -201,14 +217,18 @@ impl<'a> Scene<'a> {
         self.frames.last().map_or(Span::ZERO, |frame| frame.time)
     }
 
-    /// Returns for each robot the time from the start of the episode to its first arrival at its goal; `None` if it did
-    /// not arrive.
+    /// Returns for each goal the time from the start of the episode to the first arrival of its robot; for one that is
+    /// unlabelled, the time from which on it has a robot until the end. `None` if there is no such time.
     pub fn arrivals(&self) -> Vec<Option<Span>> {
-        let arrived = |(robot, task): (usize, &Task)| {
-            let near = |frame: &&SceneFrame| (task.goal - frame.points[robot]).norm() <= self.stage.rules.arrival_m;
-            self.frames.iter().find(near).map(|frame| frame.time)
-        };
-        self.stage.tasks.iter().enumerate().map(arrived).collect()
+        let mut arrivals = vec![None; self.stage.tasks.len()];
+        let mut reached = vec![false; arrivals.len()];
+        for frame in &self.frames {
+            reached = self.stage.reached(&frame.points, &reached);
+            for (arrival, reached) in arrivals.iter_mut().zip(&reached) {
+                *arrival = reached.then(|| arrival.unwrap_or(frame.time));
+            }
+        }
+        arrivals
     }
 
     /// Returns all pairs of robots, by ids and the smaller first, of which at any time one uses a message of the other.
@@ -324,6 +344,10 @@ fn ending(
         }
         (Verdict::WallCollision, _) => ("Failure: a robot has touched a wall".to_owned(), Vec::new()),
         (Verdict::RobotCollision, _) => ("Failure: two robots have collided".to_owned(), Vec::new()),
+        (Verdict::Timeout, _) if stage.goals.are_unlabelled() => {
+            let rings = late.iter().flat_map(|goal| ring(last.time, stage.tasks[*goal].goal, 0.0)).collect();
+            (format!("Failure: timeout; {} of {} goals have no robot", late.len(), arrived.len()), rings)
+        }
         (Verdict::Timeout, _) => {
             let rings = late.iter().flat_map(|robot| ring(last.time, last.at[*robot], 0.0)).collect();
             (format!("Failure: timeout; not at their goals: {names}"), rings)
@@ -380,6 +404,7 @@ mod tests {
             arena: passage.arena(),
             rules: passage.rules(),
             cost: None,
+            goals: Goals::Labelled,
             radius_m: 0.16,
             window: Span::from_millis(200),
             tasks: &tasks,
@@ -415,6 +440,11 @@ mod tests {
         assert_eq!(scene.frames[1].links, [link]);
         assert!(scene.ending.text.contains("robots 0 and 1 collide after 0.10 s"), "{}", scene.ending.text);
         assert_eq!((scene.ending.rings.len(), scene.ending.rings[0].from), (1, Span::from_millis(100)));
+
+        let unlabelled = Backdrop { goals: Goals::Unlabelled, ..scene.stage.clone() };
+        let unlabelled = Scene::new(unlabelled, &Episode { verdict: Verdict::Timeout, ..episode }, &steps);
+        assert_eq!(unlabelled.arrivals(), [100, 150].map(|ms| Some(Span::from_millis(ms))));
+        assert_eq!(unlabelled.ending.text, "Failure: timeout; 0 of 2 goals have no robot");
 
         let reason = Some(AbortReason { cause: AbortCause::Missing, robot: Some(RobotId(1)), others: 0 });
         let aborted = Episode { verdict: Verdict::Aborted, reason, ..episode };

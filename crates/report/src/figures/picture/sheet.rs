@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 
 use super::scene::{Backdrop, Scene};
 use murmurate::messages::geometry::Vec2;
+use murmurate::scenario::{KeepOut, Solid};
 
 /// CSS style sheet of the pictures of episodes: colours of light and dark schemes, of robots (Okabe and Ito, which
 /// colour-blind readers can distinguish) and of links between robots by the age of the message. The HTML page that
@@ -13,6 +14,8 @@ pub const LOOK: &str = include_str!("look.css");
 /// Number of different robot colours in pictures of episodes: robot `i` has colour `i % COLOURS`. The number drawn on
 /// each robot distinguishes robots of the same colour.
 pub const COLOURS: usize = 8;
+/// Colour of goals that belong to no robot: grey.
+const UNLABELLED: usize = 7;
 /// SVG opacities of the lines that connect a robot with the sender of a message that it uses: one for each of five
 /// classes of the message's age, from the newest to the oldest. `LOOK` has the same opacities.
 pub const AGES: [&str; 5] = ["1", ".7", ".46", ".28", ".16"];
@@ -49,13 +52,20 @@ fn half(stage: &Backdrop) -> Vec2 {
     stage.arena.half_extent + Vec2::repeat(stage.radius_m)
 }
 
-/// Returns the walls of the arena as lower left and upper right corners \[m\], world frame. A wall at the edge of the
-/// arena is extended to the edge of the drawn ground, as no robot can get behind it.
-pub fn walls(stage: &Backdrop) -> Vec<[Vec2; 2]> {
+/// Returns the walls of the arena. A rectangle at the edge of the arena is extended to the edge of the drawn ground, as
+/// no robot can get behind it.
+pub fn walls(stage: &Backdrop) -> Vec<Solid> {
     let (inner, outer) = (stage.arena.half_extent, half(stage));
     let to = |at: f32, inner: f32, outer: f32| if at.abs() >= inner - 1e-3 { outer.copysign(at) } else { at };
-    let corner = |at: Vec2| Vec2::new(to(at.x, inner.x, outer.x), to(at.y, inner.y, outer.y));
-    stage.arena.keep_outs.iter().map(|block| [corner(block.min), corner(block.max)]).collect()
+    let reaching = |block: &KeepOut| match block.solid() {
+        Solid::Rect([x, y, far_x, far_y]) => {
+            let [x, far_x] = [x, far_x].map(|at| to(at, inner.x, outer.x));
+            let [y, far_y] = [y, far_y].map(|at| to(at, inner.y, outer.y));
+            Solid::Rect([x, y, far_x, far_y])
+        }
+        other => other,
+    };
+    stage.arena.keep_outs.iter().map(reaching).collect()
 }
 
 /// Projection of the world frame \[m\] onto the drawing area of an SVG picture \[pixels\].
@@ -104,7 +114,19 @@ impl View {
 
     /// Returns the SVG elements of the arena's ground and walls.
     pub fn ground(&self, stage: &Backdrop) -> String {
-        let walls = walls(stage).into_iter().map(|wall| self.rectangle("wall", wall, 3.0));
+        let wall = |wall: &Solid| match wall {
+            Solid::Rect([x, y, far_x, far_y]) => {
+                self.rectangle("wall", [Vec2::new(*x, *y), Vec2::new(*far_x, *far_y)], 3.0)
+            }
+            Solid::Disc { disc: [x, y, radius_m] } => self.circle("wall", Vec2::new(*x, *y), *radius_m, "") + "\n",
+            Solid::Polygon { polygon } => {
+                let corners = polygon.iter().map(|corner| self.at(Vec2::from(*corner)));
+                let corners: Vec<String> = corners.map(|at| format!("{},{}", px(at.x), px(at.y))).collect();
+                format!("<polygon class=\"wall\" points=\"{}\"/>\n", corners.join(" "))
+            }
+        };
+        let walls = walls(stage);
+        let walls = walls.iter().map(wall);
         self.rectangle("ground", [-self.half, self.half], 6.0) + &walls.collect::<String>()
     }
 
@@ -167,9 +189,9 @@ pub fn legend(view: &View, marks: &[(String, f32, String)]) -> String {
     text
 }
 
-/// Returns the SVG elements of the goals: each a circle with its robot's id. If `stay` is true, the id is left out
-/// where the robot covers its goal at the end of the episode. `more` returns, for a robot, SVG to add inside its goal's
-/// circle.
+/// Returns the SVG elements of the goals: each a circle with its robot's id, or grey and without one if goals are
+/// unlabelled. If `stay` is true, the id is left out where the robot covers its goal at the end of the episode. `more`
+/// returns, for a robot, SVG to add inside its goal's circle.
 pub fn goals(view: &View, scene: &Scene, stay: bool, more: impl Fn(usize) -> String) -> String {
     let (mut text, stage) = (String::new(), &scene.stage);
     if stage.cost.is_some() {
@@ -183,8 +205,10 @@ pub fn goals(view: &View, scene: &Scene, stay: bool, more: impl Fn(usize) -> Str
         let (x, y) = (px(at.x), px(at.y));
         let whose = format!("<text class=\"whose\" x=\"{x}\" y=\"{y}\" style=\"font-size:{size}px\">{robot}</text>");
         let covered = (task.goal - scene.frames[scene.frames.len() - 1].at[robot]).norm() < 2.0 * stage.radius_m;
-        let whose = if stay && covered { "" } else { &whose };
-        let _ = writeln!(text, "<g class=\"c{}\">{ring}{whose}</g>", robot % COLOURS);
+        let unlabelled = stage.goals.are_unlabelled();
+        let whose = if stay && covered || unlabelled { "" } else { &whose };
+        let colour = if unlabelled { UNLABELLED } else { robot % COLOURS };
+        let _ = writeln!(text, "<g class=\"c{colour}\">{ring}{whose}</g>");
     }
     text
 }
@@ -192,8 +216,9 @@ pub fn goals(view: &View, scene: &Scene, stay: bool, more: impl Fn(usize) -> Str
 /// Returns the legend's entry for goals: its mark (SVG), the width of the mark \[pixels\] and its text.
 pub fn goal_mark(scene: &Scene) -> (String, f32, String) {
     let mark = "<circle class=\"goal c7\" cx=\"10\" r=\"9\" stroke-width=\"2\" stroke-dasharray=\"5 4\"/>".to_owned();
+    let any = if scene.stage.goals.are_unlabelled() { " of any robot" } else { "" };
     match scene.stage.cost {
         Some(_) => (String::new(), 0.0, "no goals".to_owned()),
-        None => (mark, 20.0, format!("goal, to within {} m", scene.stage.rules.arrival_m)),
+        None => (mark, 20.0, format!("goal{any}, to within {} m", scene.stage.rules.arrival_m)),
     }
 }

@@ -1,0 +1,133 @@
+//! Goals that belong to no robot: which of them have a robot, and how they are shared out at the least cost.
+//!
+//! Robots that may choose their goals are the concurrent assignment and planning of trajectories of Turpin, Michael and
+//! Kumar, "CAPT: Concurrent assignment and planning of trajectories for multiple robots", International Journal of
+//! Robotics Research 33 (1), 2014.
+
+use pathfinding::prelude::{Matrix, kuhn_munkres_min};
+use serde::Deserialize;
+
+use crate::messages::geometry::{Task, Vec2};
+use crate::observation::{Channel, Known, Quantity, Unit};
+
+/// Name of the channel that has the goals of the team, in a scenario whose goals are unlabelled.
+pub const CHANNEL: &str = "goals";
+
+/// Robots to which the goals of a scenario belong.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Goals {
+    /// Each robot has to arrive at the goal of its own task.
+    #[default]
+    Labelled,
+    /// Any robot may go to any goal of the team. An episode succeeds once every goal has a robot.
+    Unlabelled,
+}
+
+impl Goals {
+    /// Returns whether the goals belong to no robot.
+    pub fn are_unlabelled(self) -> bool {
+        self == Goals::Unlabelled
+    }
+}
+
+/// Returns the index of the goal at which a robot at `point` is: the nearest, if it is within `arrival_m`. All are
+/// \[m\], in one frame.
+pub fn goal_at(goals: impl Iterator<Item = Vec2>, point: Vec2, arrival_m: f32) -> Option<usize> {
+    let distances = goals.map(|goal| (goal - point).norm()).enumerate();
+    let nearest = distances.min_by(|(_, one), (_, other)| one.total_cmp(other));
+    nearest.filter(|(_, distance_m)| *distance_m <= arrival_m).map(|(goal, _)| goal)
+}
+
+/// Returns for each of `count` goals whether a robot is there; `at` has the goal at which each robot is.
+pub fn held(count: usize, at: impl Iterator<Item = Option<usize>>) -> Vec<bool> {
+    let mut held = vec![false; count];
+    at.flatten().for_each(|goal| held[goal] = true);
+    held
+}
+
+/// Returns for each robot the index of a goal of its own, so that the sum of `costs` is the least (Kuhn, "The Hungarian
+/// method for the assignment problem", Naval Research Logistics Quarterly 2, 1955). `costs` returns that of a robot at
+/// a goal, in whole units; there are at least as many goals as robots.
+pub fn assigned([robots, goals]: [usize; 2], costs: impl Fn(usize, usize) -> i64) -> Vec<usize> {
+    let all = (0..robots * goals).map(|at| costs(at / goals, at % goals)).collect();
+    let costs = Matrix::from_vec(robots, goals, all).expect("there is a cost for each robot and goal");
+    kuhn_munkres_min(&costs).1
+}
+
+/// Returns the square of a length \[mm²\], as a cost of an assignment: so that a sum over a team has room.
+pub fn squared_mm(length_m: f32) -> i64 {
+    (f64::from(length_m) * f64::from(length_m) * 1e6).min(1e15) as i64
+}
+
+/// Writes for each robot the length \[m\] of its path to its goal in the assignment with the least sum of squares.
+/// `length_m` returns that of a robot to a goal; there are as many goals as robots.
+pub fn shared_out(lengths_m: &mut [f32], length_m: impl Fn(usize, usize) -> f32) {
+    let robots = lengths_m.len();
+    let all: Vec<f32> = (0..robots * robots).map(|at| length_m(at / robots, at % robots)).collect();
+    let chosen = assigned([robots; 2], |robot, goal| squared_mm(all[robot * robots + goal]));
+    for (robot, (length_m, goal)) in lengths_m.iter_mut().zip(chosen).enumerate() {
+        *length_m = all[robot * robots + goal];
+    }
+}
+
+/// Returns the channel [`CHANNEL`] of a team of `robots` robots: from the robot to each goal \[m\], \[R, 2\]. The goals
+/// are in the order of their x, then y, in the world frame, which says nothing of the robots. They are unknown while
+/// one of them is.
+pub fn channel(robots: usize) -> Channel {
+    let form = (vec![robots, 2], Unit::Metre, Quantity::Vector);
+    Channel::new(CHANNEL, "from the robot to each goal of the team, in an order of their places", form, write)
+}
+
+fn write(known: &Known, values: &mut [f32]) {
+    let Some(goals) = in_order(known.team) else { return values.fill(f32::NAN) };
+    for (pair, goal) in values.chunks_exact_mut(2).zip(goals) {
+        pair.copy_from_slice((known.own.frame.turn(goal) - known.own.motion.position).as_slice());
+    }
+}
+
+/// Returns the goals of a team \[m\], world frame, in the order of their x, then y; `None` while one is unknown.
+fn in_order(team: &[Option<Task>]) -> Option<Vec<Vec2>> {
+    let mut goals: Vec<Vec2> = team.iter().map(|task| task.map(|task| task.goal)).collect::<Option<_>>()?;
+    goals.sort_by(|one, other| one.x.total_cmp(&other.x).then(one.y.total_cmp(&other.y)));
+    Some(goals)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::geometry::Motion;
+    use crate::observation::Observation;
+
+    #[test]
+    fn a_robot_is_at_the_nearest_goal_and_two_robots_at_one_goal_hold_one() {
+        let goals = [Vec2::new(0.0, 0.0), Vec2::new(0.4, 0.0)];
+        let at = |x: f32| goal_at(goals.into_iter(), Vec2::new(x, 0.0), 0.25);
+        assert_eq!((at(0.1), at(0.21), at(-0.3)), (Some(0), Some(1), None));
+        assert_eq!(held(2, [at(0.1), at(-0.1)].into_iter()), [true, false]);
+        assert_eq!(held(2, [at(0.1), at(0.3)].into_iter()), [true, true]);
+    }
+
+    #[test]
+    fn goals_are_shared_out_at_the_least_cost_also_if_there_are_more_of_them() {
+        let (robots, goals) = ([0.0f32, 1.0], [1.1f32, 9.0, 0.9]);
+        let cost = |robot: usize, goal: usize| squared_mm(goals[goal] - robots[robot]);
+        assert_eq!(assigned([2, 3], cost), [2, 0]);
+        assert_eq!(assigned([2, 2], cost)[0], 0, "a long way costs more than two short ones");
+    }
+
+    #[test]
+    fn the_channel_does_not_tell_whose_a_goal_is() {
+        let task = |x: f32, y: f32| Some(Task { start: Vec2::zeros(), goal: Vec2::new(x, y) });
+        let own = Observation::new(Motion::at_rest(Vec2::new(1.0, 0.0)), Vec2::zeros());
+        let seen = |team: &[Option<Task>]| {
+            let mut values = [0.0; 6];
+            write(&Known { task: &task(0.0, 0.0).expect("a task"), team, own: &own, sensed: &[] }, &mut values);
+            values
+        };
+        let goals = [task(3.0, 1.0), task(2.0, 5.0), task(2.0, -5.0)];
+        assert_eq!(seen(&goals), [1.0, -5.0, 1.0, 5.0, 2.0, 1.0]);
+        assert_eq!(seen(&[goals[2], goals[0], goals[1]]), seen(&goals));
+        assert!(seen(&[goals[0], None, goals[1]]).iter().all(|value| value.is_nan()));
+    }
+}
