@@ -55,6 +55,16 @@ pub fn normals(stream: &mut Stream) -> [f64; 2] {
     NormalPair::draw(stream).numbers()
 }
 
+/// Draws a point of the uniform distribution over the disc of this radius about the origin.
+pub fn in_disc(radius: f32, stream: &mut Stream) -> [f32; 2] {
+    loop {
+        let [x, y]: [f32; 2] = [stream.random_range(-1.0..=1.0), stream.random_range(-1.0..=1.0)];
+        if x * x + y * y <= 1.0 {
+            return [x * radius, y * radius];
+        }
+    }
+}
+
 /// Draws a number of the standard normal distribution from `stream` and returns whether it is at least `limit`. The
 /// stream advances as in one call of [`normals`], whose first number is compared. Most calls need no logarithm.
 pub(crate) fn normal_reaches(limit: f64, stream: &mut Stream) -> bool {

@@ -30,7 +30,7 @@ pub struct Request {
 
 impl Channel {
     /// Returns the request of a policy that takes this channel as it is, in the policy frame.
-    pub(crate) fn request(&self) -> Request {
+    pub fn request(&self) -> Request {
         Request {
             input: self.name.to_string(),
             channel: self.name.to_string(),

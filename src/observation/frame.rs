@@ -34,7 +34,7 @@ impl PolicyFrame {
     }
 
     /// Transforms position and velocity of a robot from the world frame to the policy frame, or back.
-    pub(crate) fn turn_motion(self, motion: &Motion) -> Motion {
+    pub fn turn_motion(self, motion: &Motion) -> Motion {
         Motion { position: self.turn(motion.position), velocity: self.turn(motion.velocity) }
     }
 }

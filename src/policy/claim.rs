@@ -12,7 +12,7 @@ use super::orca::{self, Orca};
 use super::{Interface, Model, ModelError, Neighbour, Origin, Policy};
 use crate::messages::geometry::{Vec2, is_finite};
 use crate::messages::ids::RobotId;
-use crate::observation::{Frame, Observation, Request, Taking, Unit};
+use crate::observation::Observation;
 use crate::random::Stream;
 use crate::scenario::{Arena, Scenario, goals};
 
@@ -34,15 +34,7 @@ pub(crate) fn model(scenario: &dyn Scenario) -> Result<Model, ModelError> {
             "each robot of the scenario '{name}' has a goal of its own; use 'orca'"
         )));
     }
-    let request = Request {
-        input: goals::CHANNEL.to_owned(),
-        channel: goals::CHANNEL.to_owned(),
-        shape: vec![scenario.robots(), 2],
-        unit: Unit::Metre,
-        frame: Some(Frame::Policy),
-        taking: Taking::default(),
-    };
-    let origin = Origin { requests: vec![request], ..Origin::default() };
+    let origin = Origin { requests: vec![goals::channel(scenario.robots()).request()], ..Origin::default() };
     let instance = |arena: &Arena, robot: RobotId, _| -> Box<dyn Policy> { Box::new(Claim::new(arena, robot)) };
     Model::of_file((NAME, INTERFACE), origin, None, instance).map_err(ModelError::Refused)
 }

@@ -95,7 +95,7 @@ impl GnnWeights {
     }
 }
 
-/// What a robot remembers from one step to the next; all is empty for a policy without state.
+/// State of a robot from one step to the next; all is empty for a policy without one.
 #[derive(Debug, Default)]
 struct State {
     /// State after the last step.

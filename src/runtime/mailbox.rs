@@ -28,7 +28,7 @@ pub(super) enum Envelope<I> {
 /// share the queue. A mailbox is made before its actor, so actors can hold each other's mailboxes.
 pub struct Mailbox<I>(pub(super) Rc<Slot<I>>);
 
-/// What the clones of a mailbox share.
+/// Content that the clones of a mailbox share.
 pub(super) struct Slot<I> {
     name: String,
     pub(super) queue: RefCell<VecDeque<Envelope<I>>>,

@@ -139,7 +139,7 @@ impl KeepOut {
     }
 
     /// Returns the corners of the block \[m\], world frame, counter-clockwise; the centre of a disc.
-    pub fn corners(&self) -> impl Iterator<Item = Vec2> + '_ {
+    pub fn corners(&self) -> impl Iterator<Item = Vec2> + Clone + '_ {
         let count = self.outline.as_ref().map_or(4, |outline| outline.corners.len());
         (0..count).map(|at| self.corner(at))
     }
@@ -235,8 +235,7 @@ impl KeepOut {
 
     /// Returns the sides of the block's polygon, each by its ends \[m\]; for a disc, its centre twice.
     pub fn sides(&self) -> impl Iterator<Item = [Vec2; 2]> + '_ {
-        let count = self.outline.as_ref().map_or(4, |outline| outline.corners.len());
-        (0..count).map(move |at| [self.corner(at), self.corner((at + 1) % count)])
+        self.corners().zip(self.corners().cycle().skip(1)).map(|(from, to)| [from, to])
     }
 }
 
@@ -270,7 +269,7 @@ impl Outline {
 
     /// Returns whether a point is within the polygon, without its rounded rim.
     fn has(&self, point: Vec2) -> bool {
-        self.corners.len() > 2 && self.sides().all(|[from, to]| cross(to - from, point - from) >= 0.0)
+        self.corners.len() > 2 && self.sides().all(|[from, to]| (to - from).perp(&(point - from)) >= 0.0)
     }
 
     fn nearest(&self, point: Vec2) -> Vec2 {
@@ -299,7 +298,7 @@ impl Outline {
         let (mut enter, mut leave) = (0.0f32, 1.0f32);
         for [one, other] in self.sides() {
             let Some(along) = (other - one).try_normalize(0.0) else { continue };
-            let outside = |point: Vec2| -cross(along, point - one) - margin_m;
+            let outside = |point: Vec2| -along.perp(&(point - one)) - margin_m;
             let (at, end) = (outside(from), outside(to));
             if at >= 0.0 && end >= 0.0 {
                 return false;
@@ -349,18 +348,14 @@ fn nearest_on(from: Vec2, to: Vec2, point: Vec2) -> Vec2 {
 
 /// Returns the distance between two straight lines, each given by its ends \[m\].
 fn distance_of_lines(one: [Vec2; 2], other: [Vec2; 2]) -> f32 {
-    let sides = |[from, to]: [Vec2; 2], [a, b]: [Vec2; 2]| cross(to - from, a - from) * cross(to - from, b - from);
+    let sides =
+        |[from, to]: [Vec2; 2], [a, b]: [Vec2; 2]| (to - from).perp(&(a - from)) * (to - from).perp(&(b - from));
     if sides(one, other) < 0.0 && sides(other, one) < 0.0 {
         return 0.0;
     }
     let to = |[from, to]: [Vec2; 2], point: Vec2| (nearest_on(from, to, point) - point).norm();
     let ends = [to(one, other[0]), to(one, other[1]), to(other, one[0]), to(other, one[1])];
     ends.into_iter().fold(f32::INFINITY, f32::min)
-}
-
-/// Returns the third component of the cross product of two vectors.
-pub(crate) fn cross(a: Vec2, b: Vec2) -> f32 {
-    a.x * b.y - a.y * b.x
 }
 
 #[cfg(test)]

@@ -14,14 +14,12 @@
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-use rand::RngExt;
-
 use super::cost::velocity_variance;
 use super::{Arena, Cost, Progress, Rules, Scenario, ScenarioError, Settings, Size, TeamAfterStep, TeamSizes};
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
 use crate::observation::PolicyFrame;
-use crate::random::{Seed, Stream};
+use crate::random::{self, Seed, Stream};
 use crate::time::Span;
 
 /// Distance within which two robots are neighbours \[m\] at scale 1: for the density of the team, and for its
@@ -102,16 +100,6 @@ fn share_within(distance: f64) -> f64 {
         - d / PI * (1.0 + square / 2.0) * (1.0 - square / 4.0).max(0.0).sqrt()
 }
 
-/// Draws a random point of the disc of this radius about the origin.
-fn in_disc(radius: f32, stream: &mut Stream) -> Vec2 {
-    loop {
-        let point = Vec2::new(stream.random_range(-1.0..=1.0), stream.random_range(-1.0..=1.0));
-        if point.norm_squared() <= 1.0 {
-            return point * radius;
-        }
-    }
-}
-
 impl Flocking {
     /// Draws places that are `SPACING_M` apart, at scale 1 \[m\]; `None` if the next robot finds none.
     fn places(&self, stream: &mut Stream) -> Option<Vec<Vec2>> {
@@ -122,7 +110,7 @@ impl Flocking {
         let free =
             |places: &[Vec2], at: Vec2| places.iter().all(|other| (other - at).norm_squared() >= spacing_m * spacing_m);
         for _ in 0..self.robots {
-            let mut tries = (0..TRIES).map(|_| in_disc(self.disc_m, stream));
+            let mut tries = (0..TRIES).map(|_| Vec2::from(random::in_disc(self.disc_m, stream)));
             places.push(tries.find(|at| free(&places, *at))?);
         }
         Some(places)
@@ -166,8 +154,9 @@ impl Scenario for Flocking {
                 break places;
             }
         };
-        let common = in_disc(COMMON_M_S, &mut stream);
-        let task = |start: Vec2| Task { start, goal: start + (common + in_disc(OWN_M_S, &mut stream)) * AHEAD_S };
+        let mut in_disc = |radius: f32| Vec2::from(random::in_disc(radius, &mut stream));
+        let common = in_disc(COMMON_M_S);
+        let task = |start: Vec2| Task { start, goal: start + (common + in_disc(OWN_M_S)) * AHEAD_S };
         places.into_iter().map(task).collect()
     }
 

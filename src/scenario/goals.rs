@@ -39,10 +39,15 @@ pub fn goal_at(goals: impl Iterator<Item = Vec2>, point: Vec2, arrival_m: f32) -
     nearest.filter(|(_, distance_m)| *distance_m <= arrival_m).map(|(goal, _)| goal)
 }
 
-/// Returns for each of `count` goals whether a robot is there; `at` has the goal at which each robot is.
-pub fn held(count: usize, at: impl Iterator<Item = Option<usize>>) -> Vec<bool> {
-    let mut held = vec![false; count];
-    at.flatten().for_each(|goal| held[goal] = true);
+/// Returns for each of the goals whether a robot is there. The robots are at `points`, as `goal_at` says.
+pub fn held(
+    goals: impl ExactSizeIterator<Item = Vec2> + Clone,
+    points: impl IntoIterator<Item = Vec2>,
+    arrival_m: f32,
+) -> Vec<bool> {
+    let mut held = vec![false; goals.len()];
+    let at = points.into_iter().filter_map(|point| goal_at(goals.clone(), point, arrival_m));
+    at.for_each(|goal| held[goal] = true);
     held
 }
 
@@ -104,8 +109,8 @@ mod tests {
         let goals = [Vec2::new(0.0, 0.0), Vec2::new(0.4, 0.0)];
         let at = |x: f32| goal_at(goals.into_iter(), Vec2::new(x, 0.0), 0.25);
         assert_eq!((at(0.1), at(0.21), at(-0.3)), (Some(0), Some(1), None));
-        assert_eq!(held(2, [at(0.1), at(-0.1)].into_iter()), [true, false]);
-        assert_eq!(held(2, [at(0.1), at(0.3)].into_iter()), [true, true]);
+        let held = |points: [f32; 2]| held(goals.into_iter(), points.map(|x| Vec2::new(x, 0.0)), 0.25);
+        assert_eq!((held([0.1, -0.1]), held([0.1, 0.3])), (vec![true, false], vec![true, true]));
     }
 
     #[test]

@@ -99,8 +99,8 @@ pub struct Judge {
     rules: Rules,
     goals: Vec<Vec2>,
     labels: Goals,
-    /// Unlabelled goal at which each robot is.
-    at: Vec<Option<usize>>,
+    /// Last point of each robot \[m\], where goals are unlabelled; not a number before the first.
+    points: Vec<Vec2>,
     arrived: Vec<bool>,
     failure: Option<Verdict>,
     min_separation_m: f32,
@@ -112,9 +112,9 @@ impl Judge {
     /// Makes the judge of an episode with criteria `rules` and the robots' `goals` \[m\], world frame, in the order of
     /// robot ids.
     pub fn new(rules: Rules, goals: Vec<Vec2>) -> Judge {
-        let (arrived, at, min_separation_m) = (vec![false; goals.len()], vec![None; goals.len()], f32::INFINITY);
-        let labels = Goals::Labelled;
-        Judge { rules, goals, labels, at, arrived, failure: None, min_separation_m, cost: None }
+        let (arrived, points) = (vec![false; goals.len()], vec![Vec2::repeat(f32::NAN); goals.len()]);
+        let (labels, min_separation_m) = (Goals::Labelled, f32::INFINITY);
+        Judge { rules, goals, labels, points, arrived, failure: None, min_separation_m, cost: None }
     }
 
     /// Returns the judge for goals that belong to whom `labels` says.
@@ -182,14 +182,13 @@ impl Judge {
                 Goals::Labelled => {
                     self.arrived[at] |= (self.goals[at] - robot.point).norm() <= self.rules.arrival_m;
                 }
-                Goals::Unlabelled => {
-                    self.at[at] = goals::goal_at(self.goals.iter().copied(), robot.point, self.rules.arrival_m);
-                }
+                Goals::Unlabelled => self.points[at] = robot.point,
             }
         }
         if self.labels.are_unlabelled() {
-            let held = goals::held(self.goals.len(), self.at.iter().copied());
-            self.arrived.fill(held.into_iter().all(|held| held));
+            let (goals, points) = (self.goals.iter().copied(), self.points.iter().copied());
+            let held = goals::held(goals, points, self.rules.arrival_m);
+            self.arrived.fill(!held.contains(&false));
         }
         let all_arrived = self.arrived.iter().all(|&arrived| arrived);
         if !all_arrived && after < self.rules.limit {

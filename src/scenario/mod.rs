@@ -186,10 +186,9 @@ pub trait Scenario: Debug + Send + Sync {
     /// in \[m\], world frame. The trainer calls this method once per team and step.
     fn arrivals(&self, tasks: &[Task], position: &[Vec2], reached: &mut [bool]) {
         if self.goals().are_unlabelled() {
-            let goals = || tasks.iter().map(|task| task.goal);
-            let at = position.iter().map(|point| goals::goal_at(goals(), *point, self.rules().arrival_m));
-            let all = goals::held(tasks.len(), at).into_iter().all(|held| held);
-            return reached.fill(all);
+            let goals = tasks.iter().map(|task| task.goal);
+            let held = goals::held(goals, position.iter().copied(), self.rules().arrival_m);
+            return reached.fill(!held.contains(&false));
         }
         for ((task, position), reached) in tasks.iter().zip(position).zip(reached) {
             *reached = self.reached(task, *position);

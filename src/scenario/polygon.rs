@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::block::{KeepOut, cross};
+use super::block::KeepOut;
 use crate::messages::geometry::Vec2;
 
 /// Length \[m\] below which two coordinates are one.
@@ -42,7 +42,7 @@ impl Polygon {
         if (0..count).any(|at| (corners[next(at)] - corners[at]).norm() < SAME_M) {
             return Err("two corners in a row are one");
         }
-        let twice_area: f32 = (0..count).map(|at| cross(corners[at], corners[next(at)])).sum();
+        let twice_area: f32 = (0..count).map(|at| corners[at].perp(&corners[next(at)])).sum();
         if twice_area.abs() < SAME_M {
             return Err("it has no area");
         }
@@ -70,7 +70,7 @@ impl Polygon {
     fn is_convex(&self) -> bool {
         let count = self.corners.len();
         let corner = |at: usize| self.corners[at % count];
-        (0..count).all(|at| cross(corner(at + 1) - corner(at), corner(at + 2) - corner(at + 1)) >= 0.0)
+        (0..count).all(|at| (corner(at + 1) - corner(at)).perp(&(corner(at + 2) - corner(at + 1))) >= 0.0)
     }
 
     /// Returns convex blocks that fill the polygon: one, if it is convex.
@@ -162,7 +162,8 @@ impl Part {
 
 /// Returns whether two straight lines have a point in common, each given by its ends \[m\].
 fn meet([one, other]: [[Vec2; 2]; 2]) -> bool {
-    let sides = |[from, to]: [Vec2; 2], [a, b]: [Vec2; 2]| cross(to - from, a - from) * cross(to - from, b - from);
+    let sides =
+        |[from, to]: [Vec2; 2], [a, b]: [Vec2; 2]| (to - from).perp(&(a - from)) * (to - from).perp(&(b - from));
     let overlap = |axis: usize| {
         let ends = [one, other].map(|line| line.map(|end| end[axis]));
         let [low, high] = [f32::min, f32::max].map(|of| ends.map(|[from, to]| of(from, to)));

@@ -2,7 +2,7 @@
 //! were made, files of trainings drive teams as the trainer does, and trainings repeat and resume bit for bit.
 
 use murmurate::policy::Model;
-use murmurate::policy::hops::manifest::{Aggregation, Cell};
+use murmurate::policy::hops::manifest::{Aggregation, Cell, Memory};
 use murmurate::random::Seed;
 use murmurate::registry::Registry;
 use murmurate::scenario::{self, Settings};
@@ -14,9 +14,10 @@ use murmurate_train::evaluate::Evaluation;
 use murmurate_train::learner::{self, Initial};
 use murmurate_train::loss::{self, Sample, Terms};
 use murmurate_train::network::{Network, Space};
-use murmurate_train::policy::Memory;
 use murmurate_train::rollout::{Chunk, RolloutSettings};
-use murmurate_train::trainer::{Plan, Trainer};
+use murmurate_train::trainer::Trainer;
+
+use crate::training::{plan, train};
 
 /// Returns small configurations with delay and loss: of three hops, of one hop with memory, and of two with memory.
 fn configurations() -> [(&'static str, Config); 3] {
@@ -37,21 +38,7 @@ fn configurations() -> [(&'static str, Config); 3] {
 }
 
 fn trainer(config: &Config, seed: u64) -> Trainer {
-    let (scenario, preset) = ("passage".to_owned(), "small".to_owned());
-    Trainer::new(Plan { scenario, preset, config: config.clone(), seed, task: None }, &Registry::builtin())
-        .expect("it is sound")
-}
-
-/// Runs iterations through several stages; returns the checkpoint after `stop` of them, and the final policy.
-fn train(mut trainer: Trainer, iterations: std::ops::Range<u32>, stop: u32, threads: usize) -> (Vec<u8>, Vec<u8>) {
-    let mut checkpoint = Vec::new();
-    for iteration in iterations {
-        trainer.iterate(f64::from(iteration) / 8.0, threads).expect("it stays finite");
-        if iteration + 1 == stop {
-            checkpoint = trainer.checkpoint();
-        }
-    }
-    (checkpoint, trainer.policy_file())
+    Trainer::new(plan(config.clone(), seed), &Registry::builtin()).expect("it is sound")
 }
 
 #[test]

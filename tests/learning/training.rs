@@ -43,12 +43,13 @@ fn differential() -> chassis::Settings {
     chassis::Settings { drive: Some(DriveKind::Differential), point_ahead_m: Some(0.1), ..Default::default() }
 }
 
-fn plan(config: Config, seed: u64) -> Plan {
+/// Returns the plan of a training for `passage`.
+pub fn plan(config: Config, seed: u64) -> Plan {
     Plan { scenario: "passage".to_owned(), preset: "small".to_owned(), config, seed, task: None }
 }
 
 /// Runs a few iterations through every stage; returns the checkpoint after `stop` of them, and the final policy.
-fn train(mut trainer: Trainer, iterations: std::ops::Range<u32>, stop: u32, threads: usize) -> (Vec<u8>, Vec<u8>) {
+pub fn train(mut trainer: Trainer, iterations: std::ops::Range<u32>, stop: u32, threads: usize) -> (Vec<u8>, Vec<u8>) {
     let mut checkpoint = Vec::new();
     for iteration in iterations {
         trainer.iterate(f64::from(iteration) / 8.0, threads).expect("it stays finite");

@@ -1,16 +1,11 @@
 //! Trials of coverage with its scripted policy.
 
 use murmurate::messages::geometry::{Motion, Vec2};
-use murmurate::registry::Registry;
 use murmurate::scenario::judge::Verdict;
 use murmurate::trial::Trial;
 
 fn trial(mode: &str, scenario: &str, robots: Option<usize>) -> Trial {
-    let registry = murmurate_tasks::add(Registry::builtin());
-    let trial = Trial::from_registry(&registry, mode, scenario, robots).expect("a preset");
-    let entry = registry.policy("coverage-cvt").expect("it is registered");
-    let model = (entry.build)(&*trial.scenario).expect("it is for coverage");
-    trial.model(model).seed(3)
+    crate::trial(mode, (scenario, robots), "coverage-cvt")
 }
 
 /// Returns the cost of a team that stands at the starts of an episode.

@@ -1,18 +1,10 @@
 //! Trials of flocking through a field with its scripted policy.
 
-use murmurate::registry::Registry;
 use murmurate::report::TrialReport;
 use murmurate::scenario::judge::Verdict;
-use murmurate::trial::Trial;
 
 fn run(mode: &str, scenario: &str, policy: &str, episodes: u32) -> TrialReport {
-    let registry = murmurate_tasks::add(Registry::builtin());
-    let trial = Trial::from_registry(&registry, mode, scenario, None).expect("a preset");
-    let entry = registry.policy(policy).expect("it is registered");
-    let model = (entry.build)(&*trial.scenario).expect("it is for the scenario");
-    let trial = trial.model(model).seed(3).episodes(episodes);
-    trial.check().expect("it is sound");
-    trial.run()
+    crate::trial(mode, (scenario, None), policy).episodes(episodes).run()
 }
 
 fn completed(report: &TrialReport) -> usize {

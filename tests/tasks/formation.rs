@@ -2,20 +2,12 @@
 
 use murmurate::faults::FaultPlan;
 use murmurate::messages::wire::Phase;
-use murmurate::registry::Registry;
 use murmurate::results::totals::{Step, Steps};
 use murmurate::scenario::judge::Verdict;
 use murmurate::trial::Trial;
 
 fn trial(mode: &str, scenario: &str, episodes: u32) -> Trial {
-    let registry = murmurate_tasks::add(Registry::builtin());
-    let trial = Trial::from_registry(&registry, mode, scenario, None).expect("a preset");
-    let entry = registry.policy("follow-leader").expect("it is registered");
-    let model = (entry.build)(&*trial.scenario).expect("it is for formations");
-    let mut trial = trial.model(model).seed(3).episodes(episodes);
-    trial.steps = Steps::Reported;
-    trial.check().expect("it is sound");
-    trial
+    Trial { steps: Steps::Reported, ..crate::trial(mode, (scenario, None), "follow-leader").episodes(episodes) }
 }
 
 #[test]

@@ -4,6 +4,7 @@
 pub mod coverage;
 pub mod field;
 pub mod formation;
+pub mod ground;
 
 use murmurate::registry::Registry;
 

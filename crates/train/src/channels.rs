@@ -22,7 +22,7 @@ pub(super) struct Observing {
     pub entries: Arc<[Entry]>,
     /// Channels among the entries; `None` if all are fields.
     pub channels: Option<Channels>,
-    /// What the channels remember of each robot's episode, one robot after the other.
+    /// Memories of the channels of each robot's episode, one robot after the other.
     pub memory: Vec<f32>,
 }
 

@@ -26,7 +26,7 @@ pub struct Graphs {
     /// Source of each edge, numbered within the graph.
     pub(super) senders: Vec<u16>,
     pub(super) edges: Vec<f32>,
-    /// What a recurrent network needs of earlier steps; `None` for graphs that stand for themselves.
+    /// Latents of earlier steps, for a recurrent network; `None` for graphs that stand for themselves.
     pub(super) latents: Option<Latents>,
 }
 

@@ -9,7 +9,7 @@ use murmurate::policy::hops::action::Action;
 use murmurate::policy::hops::entry::{self, Entry};
 use murmurate::policy::hops::file::{self, Tensors};
 use murmurate::policy::hops::manifest::{
-    self as hops, Aggregation, Cell, Deviation, Distribution, EdgeFeature, Hop, Input, Layers, OUTPUTS,
+    self as hops, Aggregation, Deviation, Distribution, EdgeFeature, Hop, Input, Layers, Memory, OUTPUTS,
 };
 use murmurate::policy::hops::perceptron::Activation;
 use murmurate::policy::manifest::{self, Architecture, EdgeField, Field, Manifest, Training};
@@ -64,34 +64,6 @@ pub struct Policy {
     /// Method by which a deployed robot takes an action from the policy's distribution: its mean, or a random sample.
     #[serde(default = "mean")]
     pub draw: Draw,
-}
-
-/// Memory of a policy: the state that a robot keeps from step to step.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Memory {
-    /// Kind of the cell that changes the state: a gated recurrent unit.
-    #[serde(default = "gru")]
-    pub cell: Cell,
-    /// Number of floats of the state.
-    pub floats: usize,
-    /// Longest time between two steps after which a deployed robot goes on from its state \[s\].
-    #[serde(default = "after_gap_s")]
-    pub after_gap_s: f64,
-}
-
-fn gru() -> Cell {
-    Cell::Gru
-}
-
-fn after_gap_s() -> f64 {
-    0.5
-}
-
-impl From<Memory> for hops::Memory {
-    fn from(Memory { cell, floats, after_gap_s }: Memory) -> hops::Memory {
-        hops::Memory { cell, floats, after_gap_s }
-    }
 }
 
 fn one() -> usize {
@@ -228,7 +200,7 @@ impl Policy {
             encoder: self.layers(&[], entry::floats(&observation), &encoder, Activation::Linear),
             observation,
             edge: self.edge.clone(),
-            memory: self.memory.map(hops::Memory::from),
+            memory: self.memory,
             hops: (0..self.hops).map(|hop| self.hop(hop)).collect(),
             decoder: self.layers(&[], last(&self.update), &[OUTPUTS], Activation::Linear),
             action,

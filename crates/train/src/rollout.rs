@@ -17,7 +17,7 @@ use super::record::{EpisodeState, EpisodeTotals, Experience, HALF_LOG_TWO_PI};
 pub use super::settings::{CHUNK, RolloutSettings};
 use murmurate::messages::geometry::{Planar, Vec2};
 use murmurate::policy::Draw;
-use murmurate::policy::hops::manifest::EdgeFeature;
+use murmurate::policy::hops::hop::write_edge;
 use murmurate::random;
 use murmurate::random::Stream;
 use murmurate::scenario::Scenario;
@@ -225,26 +225,14 @@ impl Chunk {
                         source
                     })
                 };
-                let own = messages.estimate(step, receiver);
                 let frame = environments.scenario(team).frame(&tasks[range.start + receiver]);
-                let relative = frame.turn(sent.position - own.position);
+                let [own, sent] = [messages.estimate(step, receiver), sent].map(|motion| frame.turn_motion(&motion));
                 let receiver = offset + receiver;
-                let mut to = match recurrent {
+                let to = match recurrent {
                     true => graphs.edge_of_age(receiver, source, (step - message.step) as u8),
                     false => graphs.edge(receiver, source),
                 };
-                for field in &settings.config.policy.edge {
-                    let (entry, rest) = to.split_at_mut(field.floats());
-                    match field {
-                        EdgeFeature::Age => entry[0] = message.age_s,
-                        EdgeFeature::RelativePosition => entry.copy_from_slice(&relative.to_array()),
-                        EdgeFeature::Distance => entry[0] = relative.norm(),
-                        EdgeFeature::RelativeVelocity => {
-                            entry.copy_from_slice(&frame.turn(sent.velocity - own.velocity).to_array());
-                        }
-                    }
-                    to = rest;
-                }
+                write_edge(&settings.config.policy.edge, &own, (&sent, message.age_s), to);
             });
         }
         environments.teams[team].messages = messages;

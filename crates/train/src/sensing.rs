@@ -39,18 +39,16 @@ impl Environments {
     /// Makes and stores the observations of the robots of a team for the current step, if the policy takes channels.
     /// Noise of senses is drawn from `stream`.
     pub(super) fn perceive(&mut self, team: usize, stream: &mut Stream) {
-        let width = self.stored();
-        if width == 0 {
+        if self.observing.channels.is_none() {
             return;
         }
         let mut observing = std::mem::take(&mut self.observing);
+        let each = observing.memory.len() / self.position.len();
+        let Observing { entries, channels: Some(channels), memory } = &mut observing else { return };
         for robot in self.teams[team].range() {
             let estimate = self.estimate(team, robot);
-            let each = observing.memory.len() / self.position.len();
-            let mut memory = observing.memory[robot * each..][..each].to_vec();
-            let seen = (&mut observing, &mut memory[..]);
-            let observation = self.seen(seen, (team, robot), &estimate, Some(stream));
-            observing.memory[robot * each..][..each].copy_from_slice(&memory);
+            let memory = &mut memory[robot * each..][..each];
+            let observation = self.seen((entries, channels, memory), (team, robot), &estimate, Some(stream));
             let TrainingTeam { first, step, messages, .. } = &mut self.teams[team];
             messages.store_observation((*step, robot - *first), &observation);
         }
@@ -74,14 +72,17 @@ impl Environments {
     /// without any noise, into `to`. Its team has the index `team`.
     pub fn true_observation(&mut self, team: usize, robot: usize, to: &mut [f32]) {
         let truth = self.point(robot);
-        if self.observing.channels.is_none() {
-            return entry::write(&self.observing.entries, &self.own((team, robot), &truth), to);
-        }
         let mut observing = std::mem::take(&mut self.observing);
-        let each = observing.memory.len() / self.position.len();
-        // What the policy's channels remember does not change by it.
-        let mut memory = observing.memory[robot * each..][..each].to_vec();
-        to.copy_from_slice(&self.seen((&mut observing, &mut memory), (team, robot), &truth, None));
+        let Observing { entries, channels, memory } = &mut observing;
+        match channels {
+            None => entry::write(entries, &self.own((team, robot), &truth), to),
+            Some(channels) => {
+                let each = memory.len() / self.position.len();
+                // What the policy's channels remember does not change by it.
+                let mut memory = memory[robot * each..][..each].to_vec();
+                to.copy_from_slice(&self.seen((entries, channels, &mut memory), (team, robot), &truth, None));
+            }
+        }
         self.observing = observing;
     }
 
@@ -101,17 +102,15 @@ impl Environments {
         }
     }
 
-    /// Returns the observation of a robot with the motion `estimate`, world frame, and changes what its channels
-    /// remember of it. Noise of senses is drawn from
-    /// `stream`; without it there is none.
+    /// Returns the observation of a robot with the motion `estimate`, world frame, and changes the `memory` that its
+    /// channels have of it. Noise of senses is drawn from `stream`; without it there is none.
     fn seen(
         &self,
-        (observing, memory): (&mut Observing, &mut [f32]),
+        (entries, channels, memory): (&[Entry], &mut Channels, &mut [f32]),
         (team, robot): (usize, usize),
         estimate: &Motion,
         stream: Option<&mut Stream>,
     ) -> Vec<f32> {
-        let Observing { entries, channels: Some(channels), .. } = observing else { return Vec::new() };
         let range = self.teams[team].range();
         let place = Place {
             arena: self.arena(team),

@@ -26,7 +26,7 @@ pub struct Snapshot {
     /// State of the safety filter of each robot; empty in snapshots of older programs.
     #[serde(default)]
     yielding: Vec<Yielding>,
-    /// What channels remember of the robots' episodes; empty for observations without such channels.
+    /// Memories of channels of the robots' episodes; empty for observations without such channels.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     remembered: Vec<f32>,
 }

@@ -78,7 +78,7 @@ pub(super) struct Slot {
     pub own: Observation<'static>,
     /// Values of the channels that the policy under test takes, in the current step.
     pub values: Vec<f32>,
-    /// What these channels remember of the robot's episode.
+    /// Memories that these channels have of the robot's episode.
     memory: Vec<f32>,
     /// Times of the robot's last step in a running episode, and of the one before it; `None` if there is none.
     stepped: [Option<Time>; 2],

@@ -344,7 +344,7 @@ impl Hop {
         let count = neighbours.len();
         if edge > 0 {
             for (row, neighbour) in space.edges.chunks_exact_mut(edge).zip(neighbours) {
-                write_edge(&self.edge, motion, neighbour, row);
+                write_edge(&self.edge, motion, (&neighbour.motion, neighbour.age.as_secs() as f32), row);
             }
         }
         let Some(self_loop) = self.self_loop else { return count };
@@ -379,19 +379,20 @@ fn compose<'a>(inputs: &[Input], of: impl Fn(Input) -> &'a [f32], row: &mut [f32
     }
 }
 
-/// Writes the features of the edge from a neighbour to a robot with the state `own` into `row`.
+/// Writes the features of the edge to a robot with the state `own` into `row`, from a neighbour that had the state
+/// `sent` when it sent its message, which is `age_s` \[s\] old. Both states are in the policy frame.
 #[inline(always)]
-pub fn write_edge(edge: &[EdgeFeature], own: &Motion, neighbour: &Neighbour, row: &mut [f32]) {
+pub fn write_edge(edge: &[EdgeFeature], own: &Motion, (sent, age_s): (&Motion, f32), row: &mut [f32]) {
     let mut rest = row;
-    let relative = neighbour.motion.position - own.position;
+    let relative = sent.position - own.position;
     for feature in edge {
         let (to, after) = rest.split_at_mut(feature.floats());
         match feature {
-            EdgeFeature::Age => to[0] = neighbour.age.as_secs() as f32,
+            EdgeFeature::Age => to[0] = age_s,
             EdgeFeature::RelativePosition => to.copy_from_slice(&relative.to_array()),
             EdgeFeature::Distance => to[0] = relative.norm(),
             EdgeFeature::RelativeVelocity => {
-                to.copy_from_slice(&(neighbour.motion.velocity - own.velocity).to_array());
+                to.copy_from_slice(&(sent.velocity - own.velocity).to_array());
             }
         }
         rest = after;

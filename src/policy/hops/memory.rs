@@ -12,20 +12,27 @@ const MAX_FLOATS: usize = 4096;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Memory {
-    /// Kind of the cell.
+    /// Kind of the cell; `gru` if left out.
+    #[serde(default)]
     pub cell: Cell,
     /// Number of floats of the state.
     pub floats: usize,
     /// Longest time between two steps after which the policy goes on from its state \[s\]; after a longer gap it
-    /// begins at its start.
+    /// begins at its start. Half a second if left out.
+    #[serde(default = "half_a_second")]
     pub after_gap_s: f64,
 }
 
+fn half_a_second() -> f64 {
+    0.5
+}
+
 /// Kind of a recurrent cell.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Cell {
     /// Gated recurrent unit (arXiv 1406.1078) in the form of PyTorch's `GRUCell`.
+    #[default]
     Gru,
 }
 

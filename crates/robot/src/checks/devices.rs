@@ -16,6 +16,15 @@ use super::finding::{Found, Subject};
 use super::{host_of, notes};
 use murmurate::fitness::{Finding, Fitness};
 
+/// Fault of a robot that was ready before.
+#[derive(Debug, Default)]
+struct Fault {
+    /// Whether the robot or its driver was silent.
+    silent: bool,
+    /// Reason of the newest fault.
+    why: String,
+}
+
 /// All that a host's source and drivers have reported during `doctor`: readings, odometry, hardware conditions, and
 /// results of the wiggle (a short drive of each robot).
 #[derive(Debug, Default)]
@@ -23,8 +32,8 @@ pub struct Seen {
     readings: BTreeMap<RobotId, Track>,
     odometry: BTreeMap<RobotId, Track>,
     hardware: BTreeMap<RobotId, Hardware>,
-    /// Reason of the newest fault of each robot after it was ready for the first time.
-    faults: BTreeMap<RobotId, String>,
+    /// Fault of each robot after it was ready for the first time.
+    faults: BTreeMap<RobotId, Fault>,
     source_ended: bool,
     /// Largest age of a robot's newest reading.
     own_state: Span,
@@ -87,8 +96,9 @@ impl Seen {
                 let known = self.hardware.remove(&robot);
                 let was_ready = known.as_ref().is_some_and(|known| known.health == Health::Ready);
                 if hardware.health != Health::Ready && (was_ready || self.faults.contains_key(&robot)) {
-                    let why = hardware.reason.as_ref().map_or("no reason given", Reason::text);
-                    self.faults.insert(robot, why.to_owned());
+                    let why = hardware.reason.as_ref().map_or("no reason given", Reason::text).to_owned();
+                    let fault = self.faults.entry(robot).or_default();
+                    *fault = Fault { silent: fault.silent || hardware.health == Health::Silent, why };
                 }
                 let kept = |of: fn(&Hardware) -> Option<u8>| known.as_ref().and_then(of);
                 let battery = hardware.battery.or(kept(|known| known.battery));
@@ -185,6 +195,15 @@ impl Seen {
                 let why = if why.is_empty() { why } else { format!(": {why}") };
                 fail(format!("{state}{why}{}", values()), "look at the robot and at its settings")
             }
+            // Whether it is ready at the moment says nothing then.
+            _ if self.faults.get(&robot).is_some_and(|fault| fault.silent) => {
+                let fault = self.faults[&robot].why.clone();
+                let why = notes::of_driver(robot).into_iter().chain([fault]).collect::<Vec<_>>().join("; ");
+                fail(
+                    format!("does not answer all the time: {why}{}", values()),
+                    "look at the robot and at its settings",
+                )
+            }
             _ if limits.battery_least.is_some() && battery.is_none() => {
                 fail("it reports no charge, which battery_least needs".to_owned(), "the robot would stand")
             }
@@ -194,7 +213,7 @@ impl Seen {
             _ => {
                 let condition =
                     known.map_or("runs, and reports no condition".to_owned(), |_| format!("ready{}", values()));
-                let fault = self.faults.get(&robot).map(|why| format!("it was not ready in between: {why}"));
+                let fault = self.faults.get(&robot).map(|fault| format!("it was not ready in between: {}", fault.why));
                 let warnings: Vec<String> = notes::of_driver(robot).into_iter().chain(fault).collect();
                 let status = if warnings.is_empty() { Fitness::Ok } else { Fitness::Warn };
                 let said = std::iter::once(condition).chain(warnings).collect::<Vec<_>>().join("; ");
@@ -284,7 +303,12 @@ mod tests {
         ] {
             seen.note(at(ms), Event::Hardware(RobotId(0), hardware));
         }
-        assert_eq!(seen.faults[&RobotId(0)], "bumper pressed", "and not that it was silent before it was ready");
+        let fault = |seen: &Seen| (seen.faults[&RobotId(0)].why.clone(), seen.faults[&RobotId(0)].silent);
+        let pressed = "bumper pressed".to_owned();
+        assert_eq!(fault(&seen), (pressed, false), "and not that it was silent before it was ready");
+        seen.note(at(40), Event::Hardware(RobotId(0), Hardware::of(Health::Silent).because("unplugged")));
+        seen.note(at(50), Event::Hardware(RobotId(0), Hardware::of(Health::Ready)));
+        assert_eq!(fault(&seen), ("unplugged".to_owned(), true), "though it is ready again");
     }
 
     #[test]

@@ -87,7 +87,7 @@ fn look(size: &Size, seen: &mut [f32], known: &Known, values: &mut [f32]) {
 #[cfg(test)]
 mod tests {
     use murmurate::messages::geometry::{Motion, Task};
-    use murmurate::observation::{Bound, Observation, Request, Taking};
+    use murmurate::observation::{Bound, Observation};
 
     use super::*;
     use crate::coverage::size::TABLE;
@@ -118,15 +118,7 @@ mod tests {
     fn a_map_has_what_the_robot_has_seen_on_its_way_and_nothing_else() {
         let goal = Vec2::new(0.1, 0.0);
         let (channels, across) = ([density(&TABLE), map(&TABLE)], 30);
-        let request = |name: &str, shape: &[usize]| Request {
-            input: name.to_owned(),
-            channel: name.to_owned(),
-            shape: shape.to_vec(),
-            unit: Unit::One,
-            frame: None,
-            taking: Taking::default(),
-        };
-        let requests = [request(DENSITY, &[10, 10]), request(MAP, &[3, across, across])];
+        let requests = channels.each_ref().map(Channel::request);
         let bound = Bound::new(&requests, &channels).expect("they are there");
         let mut seen = vec![0.0; bound.memory()];
         let mut map_at = |at: Vec2| {

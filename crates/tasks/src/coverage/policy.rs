@@ -5,13 +5,14 @@
 //! every broadcast has: it carries no other number.
 
 use murmurate::messages::geometry::{Planar, Vec2};
-use murmurate::observation::{Observation, Request, Taking, Unit};
+use murmurate::observation::Observation;
 use murmurate::policy::{Entry, Interface, Model, ModelError, Neighbour, Origin, Policy};
 use murmurate::random::Stream;
 use murmurate::scenario::Scenario;
 use murmurate::time::Span;
 
-use super::{Point, baselines::middle, channels::DENSITY, size::Size, voronoi};
+use super::{Point, baselines::middle, channels::density, size::Size, voronoi};
+use crate::ground::size_of;
 
 /// Entry of the policy.
 pub const COVERAGE_CVT: Entry = Entry {
@@ -24,19 +25,8 @@ pub const COVERAGE_CVT: Entry = Entry {
 const PERIOD: Span = Span::from_millis(100);
 
 fn model(scenario: &dyn Scenario) -> Result<Model, ModelError> {
-    let size = Size::of(scenario.name()).ok_or_else(|| {
-        ModelError::Refused(format!("it is for 'coverage' and 'coverage-table', not '{}'", scenario.name()))
-    })?;
-    let across = size.grid.across(size.sensor_m);
-    let request = Request {
-        input: DENSITY.to_owned(),
-        channel: DENSITY.to_owned(),
-        shape: vec![across, across],
-        unit: Unit::One,
-        frame: None,
-        taking: Taking::default(),
-    };
-    let origin = Origin { requests: vec![request], ..Origin::default() };
+    let size = size_of(scenario, Size::of(scenario.name()), "'coverage' and 'coverage-table'")?;
+    let origin = Origin { requests: vec![density(size).request()], ..Origin::default() };
     let named = (COVERAGE_CVT.name, interface(size));
     Model::of_file(named, origin, None, move |_, _, _| Box::new(Cvt::new(size))).map_err(ModelError::Refused)
 }

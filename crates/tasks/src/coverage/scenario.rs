@@ -10,8 +10,9 @@ use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::local::Contacts;
 use murmurate::observation::{Channel, PolicyFrame};
 use murmurate::random::{RngExt, Seed};
-use murmurate::scenario::{Arena, Cost, Entry, Progress, Rules, Scenario, ScenarioError, Settings, TeamSizes};
-use murmurate::time::Span;
+use murmurate::scenario::{Arena, Cost, Entry, Progress, Rules, Scenario, ScenarioError, Settings};
+
+use crate::ground::{Fitted, NO_WALLS, price};
 
 use super::{
     channels,
@@ -22,14 +23,14 @@ use super::{
 
 /// Entry of the scenario of the published size.
 pub const COVERAGE: Entry = Entry {
-    name: PUBLISHED.name,
+    name: PUBLISHED.basics.name,
     about: "a team spreads over 1024 m so that what is important is near a robot; robots have no goals",
     build: |settings| build(&PUBLISHED, settings, |team, goals| mean_square(&PUBLISHED, team, goals)),
 };
 
 /// Entry of the scenario for a table.
 pub const COVERAGE_TABLE: Entry = Entry {
-    name: TABLE.name,
+    name: TABLE.basics.name,
     about: "the same for a few small robots on 2 m",
     build: |settings| build(&TABLE, settings, |team, goals| mean_square(&TABLE, team, goals)),
 };
@@ -41,8 +42,7 @@ const CROWDED: f32 = 0.5;
 #[derive(Debug)]
 struct Coverage {
     size: &'static Size,
-    robots: usize,
-    separation_m: f32,
+    fitted: Fitted,
     arena: Arena,
     cost: fn(&[Motion], &[Vec2]) -> f64,
 }
@@ -52,26 +52,16 @@ fn build(
     settings: &Settings,
     cost: fn(&[Motion], &[Vec2]) -> f64,
 ) -> Result<Arc<dyn Scenario>, ScenarioError> {
-    let refused = |field: &'static str, why: &str| {
-        Err(ScenarioError::Size { scenario: size.name.to_owned(), field, why: why.to_owned() })
-    };
-    let robots = TeamSizes::new(2, size.robots[1]).check(size.name, settings.robots.unwrap_or(size.robots[0]))?;
-    if let Some(gap_m) = settings.gap_m {
-        return Err(ScenarioError::Gap { scenario: size.name.to_owned(), gap_m, hint: "; it has no walls" });
-    }
-    if settings.scale.is_some_and(|scale| scale.to_bits() != 1.0_f32.to_bits()) {
-        return refused("scale", "has one scale; 'coverage' is of 1024 m, and 'coverage-table' of 2 m");
-    }
-    let hull_m = settings.hull_m.unwrap_or(size.hull_m);
-    let sized = murmurate::scenario::Size::of(size.name, &Settings { hull_m: Some(hull_m), ..*settings })?;
-    let robot_radius_m = sized.robot_radius_m();
+    let fitted = size.basics.fit(settings, NO_WALLS)?;
+    let (robots, robot_radius_m) = (fitted.robots, fitted.robot_radius_m);
     let half_m = size.grid.side_m() as f32 / 2.0 - robot_radius_m;
     let occupied = robots as f32 * std::f32::consts::PI * 4.0 * robot_radius_m * robot_radius_m;
     if half_m <= 0.0 || occupied > CROWDED * 4.0 * half_m * half_m {
-        return refused("hull_m", "has no room for so many robots of this hull: take fewer or smaller ones");
+        let why = "has no room for so many robots of this hull: take fewer or smaller ones";
+        return Err(size.basics.refused("hull_m", why));
     }
-    let arena = Arena { half_extent: Vec2::repeat(half_m), keep_outs: Vec::new(), portals: Vec::new(), robot_radius_m };
-    Ok(Arc::new(Coverage { size, robots, separation_m: sized.separation_m(), arena, cost }))
+    let arena = fitted.arena(Vec2::repeat(half_m));
+    Ok(Arc::new(Coverage { size, fitted, arena, cost }))
 }
 
 /// Returns the mean squared distance \[m²\] of what is important from the nearest robot: the coverage cost relative to
@@ -86,11 +76,11 @@ fn mean_square(size: &Size, team: &[Motion], goals: &[Vec2]) -> f64 {
 
 impl Scenario for Coverage {
     fn name(&self) -> &str {
-        self.size.name
+        self.fitted.name
     }
 
     fn robots(&self) -> usize {
-        self.robots
+        self.fitted.robots
     }
 
     fn arena(&self) -> &Arena {
@@ -101,14 +91,8 @@ impl Scenario for Coverage {
         let mut stream = Seed::of_run(seed).stream(&format!("coverage/layout/{episode}"));
         let half_m = self.arena.half_extent.x;
         let apart_m = 2.0 * self.arena.robot_radius_m * 1.001;
-        let mut starts: Vec<Vec2> = Vec::with_capacity(self.robots);
-        while starts.len() < self.robots {
-            let [x, y] = [stream.random_range(-half_m..half_m), stream.random_range(-half_m..half_m)];
-            let at = Vec2::new(x, y);
-            if starts.iter().all(|other| (other - at).norm() > apart_m) {
-                starts.push(at);
-            }
-        }
+        let place_of = || Vec2::new(stream.random_range(-half_m..half_m), stream.random_range(-half_m..half_m));
+        let starts = self.fitted.starts(apart_m, place_of);
         let goal = |start: Vec2| Task { start, goal: self.size.in_world(place(self.size.grid, &mut stream)) };
         starts.into_iter().map(goal).collect()
     }
@@ -126,11 +110,11 @@ impl Scenario for Coverage {
     }
 
     fn reward(&self, _: &Task, _: &Motion, contacts: Contacts, _: &mut Progress) -> Option<f32> {
-        Some(if contacts.robot || contacts.wall { -1.0 } else { 0.0 })
+        Some(-price(contacts))
     }
 
     fn rules(&self) -> Rules {
-        Rules { arrival_m: 0.0, separation_m: self.separation_m, limit: Span::from_secs(self.size.limit_s) }
+        self.fitted.rules()
     }
 }
 

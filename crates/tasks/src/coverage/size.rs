@@ -2,6 +2,8 @@
 
 use murmurate::messages::geometry::Vec2;
 
+use crate::ground::Basics;
+
 use super::{
     Point,
     field::{Bounds, Feature},
@@ -13,11 +15,14 @@ const GOLDEN: f64 = 0.618_033_988_749_895;
 /// Distance from its mean at which a Gaussian ends, in deviations.
 pub const TRUNCATION: f64 = 2.0;
 
+/// Scenarios of the task with their sizes.
+const SIZES: &str = "'coverage' is of 1024 m, and 'coverage-table' of 2 m";
+
 /// Size of a scenario of coverage: ground, density, robots and their sensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Size {
-    /// Name of the scenario.
-    pub name: &'static str,
+    /// Name, team and duration.
+    pub basics: Basics,
     /// Cells of the ground.
     pub grid: Grid,
     /// Smallest and largest deviation of a Gaussian \[m\].
@@ -30,47 +35,35 @@ pub struct Size {
     pub communication_m: f32,
     /// Largest speed of a robot \[m/s\].
     pub speed_m_s: f32,
-    /// Radius of a robot's hull \[m\], unless the user sets another.
-    pub hull_m: f32,
-    /// Number of robots, unless the user sets another, and the largest.
-    pub robots: [usize; 2],
-    /// Time of an episode \[s\].
-    pub limit_s: f64,
 }
 
 /// The published benchmark ([`Parameters::published`](super::run::Parameters::published)), on cells of 8 m: 32 robots
 /// on 1024 m, for two minutes.
 pub const PUBLISHED: Size = Size {
-    name: "coverage",
+    basics: Basics { name: "coverage", robots: [32, 64], hull_m: 0.16, limit_s: 120.0, sizes: SIZES },
     grid: Grid { cells: 128, cell_m: 8.0 },
     deviation_m: [40.0, 60.0],
     sensor_m: 64.0,
     local_map_m: 256.0,
     communication_m: 128.0,
     speed_m_s: 5.0,
-    hull_m: 0.16,
-    robots: [32, 64],
-    limit_s: 120.0,
 };
 
 /// A table of 2 m × 2 m, which fits into the 3.2 m × 2 m of a Robotarium: five robots, for a minute.
 pub const TABLE: Size = Size {
-    name: "coverage-table",
+    basics: Basics { name: "coverage-table", robots: [5, 8], hull_m: 0.055, limit_s: 60.0, sizes: SIZES },
     grid: Grid { cells: 40, cell_m: 0.05 },
     deviation_m: [0.15, 0.25],
     sensor_m: 0.5,
     local_map_m: 1.5,
     communication_m: 1.0,
     speed_m_s: 0.15,
-    hull_m: 0.055,
-    robots: [5, 8],
-    limit_s: 60.0,
 };
 
 impl Size {
     /// Returns the size of the scenario named `name`; `None` if it is none of coverage.
     pub fn of(name: &str) -> Option<&'static Size> {
-        [&PUBLISHED, &TABLE].into_iter().find(|size| size.name == name)
+        [&PUBLISHED, &TABLE].into_iter().find(|size| size.basics.name == name)
     }
 
     /// Returns a place in the frame of the ground, from the world frame, whose origin is the middle of the ground.

@@ -6,15 +6,15 @@
 //! velocity towards the obstacle. Messages are positions and velocities, which every broadcast has.
 
 use murmurate::messages::geometry::Vec2;
-use murmurate::observation::{Frame, Observation, Request, Taking, Unit};
+use murmurate::observation::Observation;
 use murmurate::policy::flock::{accelerated, repulsion};
 use murmurate::policy::{Entry, Interface, Model, ModelError, Neighbour, Origin, Policy};
 use murmurate::random::Stream;
 use murmurate::scenario::{Arena, KeepOut, Scenario};
 use murmurate::time::Span;
 
-use super::scenario::MIGRATION;
 use super::size::Size;
+use crate::ground::size_of;
 
 /// Entry of the policy.
 pub const FLOCK_FIELD: Entry = Entry {
@@ -37,18 +37,8 @@ const OBSTACLE: f32 = 1.0;
 const REACH: f32 = 0.8;
 
 fn model(scenario: &dyn Scenario) -> Result<Model, ModelError> {
-    let size = Size::of(scenario.name()).ok_or_else(|| {
-        ModelError::Refused(format!("it is for 'flocking-field' and 'flocking-field-table', not '{}'", scenario.name()))
-    })?;
-    let request = Request {
-        input: MIGRATION.to_owned(),
-        channel: MIGRATION.to_owned(),
-        shape: vec![2],
-        unit: Unit::MetrePerSecond,
-        frame: Some(Frame::Policy),
-        taking: Taking::default(),
-    };
-    let origin = Origin { requests: vec![request], ..Origin::default() };
+    let size = size_of(scenario, Size::of(scenario.name()), "'flocking-field' and 'flocking-field-table'")?;
+    let origin = Origin { requests: vec![size.channel().request()], ..Origin::default() };
     let interface = Interface {
         features: 0,
         radius_m: size.radius_of_communication_m,

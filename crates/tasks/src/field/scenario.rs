@@ -8,29 +8,28 @@ use std::sync::Arc;
 
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::local::Contacts;
-use murmurate::observation::{Channel, PolicyFrame, Quantity, Unit};
-use murmurate::random::{RngExt, Seed, Stream};
-use murmurate::scenario::{Arena, Cost, Entry, KeepOut, Progress, Rules, Scenario, ScenarioError, Settings, TeamSizes};
-use murmurate::time::Span;
+use murmurate::observation::{Channel, PolicyFrame};
+use murmurate::random::{self, RngExt, Seed};
+use murmurate::scenario::{Arena, Cost, Entry, KeepOut, Progress, Rules, Scenario, ScenarioError, Settings};
+
+use crate::ground::{Fitted, price};
 
 use super::size::{FIELD, Size, TABLE};
 
 /// Entry of the scenario for a team as in `flocking`.
 pub const FLOCKING_FIELD: Entry = Entry {
-    name: FIELD.name,
+    name: FIELD.basics.name,
     about: "a team migrates through a field of obstacles at one velocity; robots have no goals",
     build: |settings| build(&FIELD, settings, |team, _| deviation(team, FIELD.migration())),
 };
 
 /// Entry of the scenario for a table.
 pub const FLOCKING_FIELD_TABLE: Entry = Entry {
-    name: TABLE.name,
+    name: TABLE.basics.name,
     about: "the same for a few small robots on 3.2 m",
     build: |settings| build(&TABLE, settings, |team, _| deviation(team, TABLE.migration())),
 };
 
-/// Name of the channel that has the velocity of the migration.
-pub const MIGRATION: &str = "migration";
 /// Share of the disc of the starts that robots may occupy with their spacing, so that places for all are found soon.
 const CROWDED: f32 = 0.45;
 /// Number of draws of an obstacle's place, before there is no room for it.
@@ -40,11 +39,9 @@ const TRIES: usize = 400;
 #[derive(Debug)]
 struct Field {
     size: &'static Size,
-    robots: usize,
-    /// Radius of the disc on which the robots start, and their smallest distance there \[m\].
+    fitted: Fitted,
+    /// Radius of the disc on which the robots start \[m\].
     start_m: f32,
-    spacing_m: f32,
-    separation_m: f32,
     arena: Arena,
     cost: fn(&[Motion], &[Vec2]) -> f64,
 }
@@ -54,35 +51,20 @@ fn build(
     settings: &Settings,
     cost: fn(&[Motion], &[Vec2]) -> f64,
 ) -> Result<Arc<dyn Scenario>, ScenarioError> {
-    let refused = |field: &'static str, why: &str| {
-        Err(ScenarioError::Size { scenario: size.name.to_owned(), field, why: why.to_owned() })
-    };
-    let robots = TeamSizes::new(2, size.robots[1]).check(size.name, settings.robots.unwrap_or(size.robots[0]))?;
-    if let Some(gap_m) = settings.gap_m {
-        return Err(ScenarioError::Gap { scenario: size.name.to_owned(), gap_m, hint: "; its obstacles are drawn" });
+    let (basics, spacing_m) = (&size.basics, size.spacing_m);
+    let fitted = basics.fit(settings, "; its obstacles are drawn")?;
+    if fitted.hull_m > 1.2 * basics.hull_m {
+        let why = "has no room between its obstacles for robots of this hull: take smaller ones";
+        return Err(basics.refused("hull_m", why));
     }
-    if settings.scale.is_some_and(|scale| scale.to_bits() != 1.0_f32.to_bits()) {
-        return refused("scale", "has one scale; 'flocking-field' is of 32 m, and 'flocking-field-table' of 3.2 m");
-    }
-    let hull_m = settings.hull_m.unwrap_or(size.hull_m);
-    if hull_m > 1.2 * size.hull_m {
-        return refused("hull_m", "has no room between its obstacles for robots of this hull: take smaller ones");
-    }
-    let sized = murmurate::scenario::Size::of(size.name, &Settings { hull_m: Some(hull_m), ..*settings })?;
     // As dense as the team of the usual size.
-    let start_m = size.start_m[1] * (robots as f32 / size.robots[0] as f32).sqrt().max(0.5);
-    let spacing_m = size.spacing_m;
-    if robots as f32 * spacing_m * spacing_m > CROWDED * 4.0 * start_m * start_m {
-        return refused("robots", "has no room for so many robots at the start: take fewer");
+    let robots = fitted.robots as f32;
+    let start_m = size.start_m[1] * (robots / basics.robots[0] as f32).sqrt().max(0.5);
+    if robots * spacing_m * spacing_m > CROWDED * 4.0 * start_m * start_m {
+        return Err(basics.refused("robots", "has no room for so many robots at the start: take fewer"));
     }
-    let arena = Arena {
-        half_extent: Vec2::from(size.half_extent_m),
-        keep_outs: Vec::new(),
-        portals: Vec::new(),
-        robot_radius_m: sized.robot_radius_m(),
-    };
-    let separation_m = sized.separation_m();
-    Ok(Arc::new(Field { size, robots, start_m, spacing_m, separation_m, arena, cost }))
+    let arena = fitted.arena(Vec2::from(size.half_extent_m));
+    Ok(Arc::new(Field { size, fitted, start_m, arena, cost }))
 }
 
 /// Returns the mean squared distance of the robots' velocities from that of the migration \[m²/s²\]: the variance of
@@ -92,24 +74,13 @@ fn deviation(team: &[Motion], migration: Vec2) -> f64 {
     squares.sum::<f64>() / team.len() as f64
 }
 
-/// Draws a random point of the disc of this radius about the origin.
-fn in_disc(radius: f32, stream: &mut Stream) -> Vec2 {
-    loop {
-        let [x, y] = [stream.random_range(-1.0..=1.0), stream.random_range(-1.0..=1.0)];
-        let point = Vec2::new(x, y);
-        if point.norm_squared() <= 1.0 {
-            return point * radius;
-        }
-    }
-}
-
 impl Scenario for Field {
     fn name(&self) -> &str {
-        self.size.name
+        self.fitted.name
     }
 
     fn robots(&self) -> usize {
-        self.robots
+        self.fitted.robots
     }
 
     fn arena(&self) -> &Arena {
@@ -118,7 +89,7 @@ impl Scenario for Field {
 
     fn drawn_arena(&self, seed: u64, episode: u32) -> Option<Arena> {
         let Size { obstacles, radius_m, apart_m, field_m: [left, low, right, high], .. } = *self.size;
-        let mut stream = Seed::of_run(seed).stream(&format!("{}/obstacles/{episode}", self.size.name));
+        let mut stream = Seed::of_run(seed).stream(&format!("{}/obstacles/{episode}", self.fitted.name));
         let mut keep_outs: Vec<KeepOut> = Vec::with_capacity(obstacles);
         for _ in 0..obstacles {
             let free = (0..TRIES).find_map(|_| {
@@ -133,18 +104,13 @@ impl Scenario for Field {
     }
 
     fn tasks(&self, seed: u64, episode: u32) -> Vec<Task> {
-        let mut stream = Seed::of_run(seed).stream(&format!("{}/layout/{episode}", self.size.name));
+        let mut stream = Seed::of_run(seed).stream(&format!("{}/layout/{episode}", self.fitted.name));
         let centre = Vec2::new(self.size.start_m[0], 0.0);
-        let mut starts: Vec<Vec2> = Vec::with_capacity(self.robots);
-        while starts.len() < self.robots {
-            let at = centre + in_disc(self.start_m, &mut stream);
-            if starts.iter().all(|other| (other - at).norm() >= self.spacing_m) {
-                starts.push(at);
-            }
-        }
+        let place = || centre + Vec2::from(random::in_disc(self.start_m, &mut stream));
+        let starts = self.fitted.starts(self.size.spacing_m, place);
         let task = |start: Vec2| {
-            let goal = start + self.size.migration() + in_disc(self.size.own_m_s, &mut stream);
-            Task { start, goal }
+            let own = Vec2::from(random::in_disc(self.size.own_m_s, &mut stream));
+            Task { start, goal: start + self.size.migration() + own }
         };
         starts.into_iter().map(task).collect()
     }
@@ -162,22 +128,17 @@ impl Scenario for Field {
     }
 
     fn channels(&self) -> Vec<Channel> {
-        let size = self.size;
-        let form = (vec![2], Unit::MetrePerSecond, Quantity::Vector);
-        vec![Channel::new(MIGRATION, "velocity of the migration", form, move |known, values| {
-            values.copy_from_slice(known.own.frame.turn(size.migration()).as_slice());
-        })]
+        vec![self.size.channel()]
     }
 
     /// Returns minus the squared distance of a robot's velocity from that of the migration \[m²/s²\], minus 1 for a
     /// contact.
     fn reward(&self, _: &Task, after: &Motion, contacts: Contacts, _: &mut Progress) -> Option<f32> {
-        let touched = if contacts.robot || contacts.wall { 1.0 } else { 0.0 };
-        Some(-(after.velocity - self.size.migration()).norm_squared() - touched)
+        Some(-(after.velocity - self.size.migration()).norm_squared() - price(contacts))
     }
 
     fn rules(&self) -> Rules {
-        Rules { arrival_m: 0.0, separation_m: self.separation_m, limit: Span::from_secs(self.size.limit_s) }
+        self.fitted.rules()
     }
 }
 
@@ -200,9 +161,14 @@ mod tests {
             let scenario = (entry.build)(&Settings::default()).expect("the default team");
             for episode in 0..20 {
                 let arena = scenario.drawn_arena(3, episode).expect("each episode has its own");
-                assert!(arena.keep_outs.len() + 1 >= size.obstacles, "{} of {}", arena.keep_outs.len(), size.name);
+                assert!(
+                    arena.keep_outs.len() + 1 >= size.obstacles,
+                    "{} of {}",
+                    arena.keep_outs.len(),
+                    size.basics.name
+                );
                 let apart = |task: &Task| arena.clearance(task.start) > 2.0 * arena.robot_radius_m;
-                assert!(scenario.tasks(3, episode).iter().all(apart), "{}", size.name);
+                assert!(scenario.tasks(3, episode).iter().all(apart), "{}", size.basics.name);
             }
         }
     }

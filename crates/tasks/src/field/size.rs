@@ -1,16 +1,18 @@
 //! Sizes of flocking through a field: one for a team as in `flocking`, and one for a table.
 
 use murmurate::messages::geometry::Vec2;
+use murmurate::observation::{Channel, Quantity, Unit};
+
+use crate::ground::Basics;
+
+/// Scenarios of the task with their sizes.
+const SIZES: &str = "'flocking-field' is of 32 m, and 'flocking-field-table' of 3.2 m";
 
 /// Lengths, speeds and numbers of the task.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Size {
-    /// Name of the scenario.
-    pub name: &'static str,
-    /// Number of robots without a user's setting, and the largest one.
-    pub robots: [usize; 2],
-    /// Radius of a robot's hull without a user's setting \[m\].
-    pub hull_m: f32,
+    /// Name, team and duration.
+    pub basics: Basics,
     /// Half the size of the ground along x and y \[m\].
     pub half_extent_m: [f32; 2],
     /// Centre \[m\] along x, and radius \[m\] for a team of `robots[0]`, of the disc on which robots start.
@@ -33,15 +35,11 @@ pub struct Size {
     pub range_m: f32,
     /// Distance within which robots hear each other \[m\].
     pub radius_of_communication_m: f32,
-    /// Duration of an episode \[s\].
-    pub limit_s: f64,
 }
 
 /// Twenty robots on 32 m × 16 m, with the spacing and the communication of `flocking`.
 pub const FIELD: Size = Size {
-    name: "flocking-field",
-    robots: [20, 24],
-    hull_m: 0.16,
+    basics: Basics { name: "flocking-field", robots: [20, 24], hull_m: 0.16, limit_s: 40.0, sizes: SIZES },
     half_extent_m: [16.0, 8.0],
     start_m: [-10.5, 3.6],
     spacing_m: 0.8,
@@ -53,14 +51,11 @@ pub const FIELD: Size = Size {
     own_m_s: 0.3,
     range_m: 1.0,
     radius_of_communication_m: 2.0,
-    limit_s: 40.0,
 };
 
 /// Five small robots on 3.2 m × 2 m.
 pub const TABLE: Size = Size {
-    name: "flocking-field-table",
-    robots: [5, 5],
-    hull_m: 0.055,
+    basics: Basics { name: "flocking-field-table", robots: [5, 5], hull_m: 0.055, limit_s: 22.0, sizes: SIZES },
     half_extent_m: [1.54, 0.94],
     start_m: [-1.05, 0.42],
     spacing_m: 0.25,
@@ -72,17 +67,24 @@ pub const TABLE: Size = Size {
     own_m_s: 0.06,
     range_m: 0.3,
     radius_of_communication_m: 0.7,
-    limit_s: 22.0,
 };
 
 impl Size {
     /// Returns the size of the scenario named `name`; `None` if it is none of flocking through a field.
     pub fn of(name: &str) -> Option<&'static Size> {
-        [&FIELD, &TABLE].into_iter().find(|size| size.name == name)
+        [&FIELD, &TABLE].into_iter().find(|size| size.basics.name == name)
     }
 
     /// Returns the velocity of the migration \[m/s\], world frame.
     pub fn migration(&self) -> Vec2 {
         Vec2::new(self.migration_m_s, 0.0)
+    }
+
+    /// Returns the channel `migration`: the velocity of the migration \[m/s\].
+    pub(super) fn channel(&self) -> Channel {
+        let (form, velocity) = ((vec![2], Unit::MetrePerSecond, Quantity::Vector), self.migration());
+        Channel::new("migration", "velocity of the migration", form, move |known, values| {
+            values.copy_from_slice(known.own.frame.turn(velocity).as_slice());
+        })
     }
 }

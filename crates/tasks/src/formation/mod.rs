@@ -2,7 +2,7 @@
 //! robot with the next number leads.
 //!
 //! The wedge does not turn. It is described by the place of each robot relative to the place of robot 0, the point of
-//! the wedge, so that whoever leads, the team has one reference: the leader's position minus its place.
+//! the wedge, so that the team has one reference, the leader's position minus its place, whichever robot leads.
 
 pub mod policy;
 pub mod scenario;

@@ -2,8 +2,8 @@
 //! waypoints, and the others keep their places behind it.
 //!
 //! Each robot broadcasts its number and the waypoint to which the team is under way. A robot that was not heard for a
-//! second is lost: whoever has the next number leads on to the same waypoint, and all keep clear of the place where the
-//! lost one was heard last.
+//! second is lost: the robot with the next number leads on to the same waypoint, and all keep clear of the place where
+//! the lost one was heard last.
 
 use std::collections::BTreeMap;
 
@@ -16,6 +16,7 @@ use murmurate::scenario::{Arena, Scenario};
 use murmurate::time::Span;
 
 use super::size::Size;
+use crate::ground::size_of;
 
 /// Entry of the policy.
 pub const FOLLOW_LEADER: Entry = Entry {
@@ -39,9 +40,7 @@ const REACHED: f32 = 0.4;
 const APART: (f32, f32) = (2.8, 2.0);
 
 fn model(scenario: &dyn Scenario) -> Result<Model, ModelError> {
-    let size = Size::of(scenario.name()).ok_or_else(|| {
-        ModelError::Refused(format!("it is for 'formation' and 'formation-table', not '{}'", scenario.name()))
-    })?;
+    let size = size_of(scenario, Size::of(scenario.name()), "'formation' and 'formation-table'")?;
     let interface =
         Interface { features: 2, radius_m: 12.0, period: PERIOD, limit_m_s: 1.5, hold: Span::from_millis(200) };
     let instance = move |arena: &Arena, robot: RobotId, _| -> Box<dyn Policy> {
@@ -58,7 +57,7 @@ fn model(scenario: &dyn Scenario) -> Result<Model, ModelError> {
     Model::of_file((FOLLOW_LEADER.name, interface), Origin::default(), None, instance).map_err(ModelError::Refused)
 }
 
-/// What a robot has said last.
+/// Last message of another robot.
 #[derive(Clone, Copy, Debug)]
 struct Heard {
     step: u32,

@@ -8,21 +8,22 @@ use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::local::Contacts;
 use murmurate::observation::PolicyFrame;
 use murmurate::random::{RngExt, Seed};
-use murmurate::scenario::{Arena, Cost, Entry, Progress, Rules, Scenario, ScenarioError, Settings, TeamSizes};
-use murmurate::time::Span;
+use murmurate::scenario::{Arena, Cost, Entry, Progress, Rules, Scenario, ScenarioError, Settings};
+
+use crate::ground::{Fitted, NO_WALLS, price};
 
 use super::size::{FORMATION, Size, TABLE};
 
 /// Entry of the scenario for robots as in `passage`.
 pub const FORMATION_ENTRY: Entry = Entry {
-    name: FORMATION.name,
+    name: FORMATION.basics.name,
     about: "a team keeps a wedge behind its leader on the way past waypoints; robots have no goals",
     build: |settings| build(&FORMATION, settings, |team, _| deviation(&FORMATION, team)),
 };
 
 /// Entry of the scenario for a table.
 pub const TABLE_ENTRY: Entry = Entry {
-    name: TABLE.name,
+    name: TABLE.basics.name,
     about: "the same for a few small robots on 3.2 m",
     build: |settings| build(&TABLE, settings, |team, _| deviation(&TABLE, team)),
 };
@@ -34,8 +35,7 @@ const BEHIND_S: f64 = 1.0;
 #[derive(Debug)]
 struct Formation {
     size: &'static Size,
-    robots: usize,
-    separation_m: f32,
+    fitted: Fitted,
     arena: Arena,
     cost: fn(&[Motion], &[Vec2]) -> f64,
 }
@@ -45,28 +45,13 @@ fn build(
     settings: &Settings,
     cost: fn(&[Motion], &[Vec2]) -> f64,
 ) -> Result<Arc<dyn Scenario>, ScenarioError> {
-    let refused = |field: &'static str, why: &str| {
-        Err(ScenarioError::Size { scenario: size.name.to_owned(), field, why: why.to_owned() })
-    };
-    let robots = TeamSizes::new(2, size.robots[1]).check(size.name, settings.robots.unwrap_or(size.robots[0]))?;
-    if let Some(gap_m) = settings.gap_m {
-        return Err(ScenarioError::Gap { scenario: size.name.to_owned(), gap_m, hint: "; it has no walls" });
+    let fitted = size.basics.fit(settings, NO_WALLS)?;
+    if fitted.hull_m > 1.3 * size.basics.hull_m {
+        let why = "has places too near to each other for robots of this hull: take smaller ones";
+        return Err(size.basics.refused("hull_m", why));
     }
-    if settings.scale.is_some_and(|scale| scale.to_bits() != 1.0_f32.to_bits()) {
-        return refused("scale", "has one scale; 'formation' is of 12 m, and 'formation-table' of 3.2 m");
-    }
-    let hull_m = settings.hull_m.unwrap_or(size.hull_m);
-    if hull_m > 1.3 * size.hull_m {
-        return refused("hull_m", "has places too near to each other for robots of this hull: take smaller ones");
-    }
-    let sized = murmurate::scenario::Size::of(size.name, &Settings { hull_m: Some(hull_m), ..*settings })?;
-    let arena = Arena {
-        half_extent: Vec2::from(size.half_extent_m),
-        keep_outs: Vec::new(),
-        portals: Vec::new(),
-        robot_radius_m: sized.robot_radius_m(),
-    };
-    Ok(Arc::new(Formation { size, robots, separation_m: sized.separation_m(), arena, cost }))
+    let arena = fitted.arena(Vec2::from(size.half_extent_m));
+    Ok(Arc::new(Formation { size, fitted, arena, cost }))
 }
 
 /// Returns the middle one of the numbers, or the lower one of two.
@@ -93,11 +78,11 @@ fn deviation(size: &Size, team: &[Motion]) -> f64 {
 
 impl Scenario for Formation {
     fn name(&self) -> &str {
-        self.size.name
+        self.fitted.name
     }
 
     fn robots(&self) -> usize {
-        self.robots
+        self.fitted.robots
     }
 
     fn arena(&self) -> &Arena {
@@ -105,17 +90,15 @@ impl Scenario for Formation {
     }
 
     fn tasks(&self, seed: u64, episode: u32) -> Vec<Task> {
-        let mut stream = Seed::of_run(seed).stream(&format!("{}/layout/{episode}", self.size.name));
+        let mut stream = Seed::of_run(seed).stream(&format!("{}/layout/{episode}", self.fitted.name));
         let [radius_m, spacing_m] = self.size.start_m;
-        let mut starts: Vec<Vec2> = Vec::with_capacity(self.robots);
-        while starts.len() < self.robots {
+        let mut place = || {
             let offset = Vec2::new(stream.random_range(-1.0..=1.0), stream.random_range(-1.0..=1.0));
-            let at = self.size.waypoint(0) + offset * radius_m;
-            let is_free = starts.iter().all(|other| (other - at).norm() >= spacing_m);
-            if is_free && (at.abs() - self.arena.half_extent).max() <= 0.0 {
-                starts.push(at);
-            }
-        }
+            self.size.waypoint(0) + offset * radius_m
+        };
+        let is_on_ground = |at: &Vec2| (at.abs() - self.arena.half_extent).max() <= 0.0;
+        let on_ground = || std::iter::repeat_with(&mut place).find(is_on_ground).expect("the ground has places");
+        let starts = self.fitted.starts(spacing_m, on_ground);
         let goal = |robot: usize| self.size.waypoint(1) + self.size.place(robot);
         starts.into_iter().enumerate().map(|(robot, start)| Task { start, goal: goal(robot) }).collect()
     }
@@ -130,11 +113,11 @@ impl Scenario for Formation {
 
     /// Returns minus 1 for a contact.
     fn reward(&self, _: &Task, _: &Motion, contacts: Contacts, _: &mut Progress) -> Option<f32> {
-        Some(if contacts.robot || contacts.wall { -1.0 } else { 0.0 })
+        Some(-price(contacts))
     }
 
     fn rules(&self) -> Rules {
-        Rules { arrival_m: 0.0, separation_m: self.separation_m, limit: Span::from_secs(self.size.limit_s) }
+        self.fitted.rules()
     }
 }
 

@@ -182,8 +182,8 @@ pub fn limited(axis: f32) -> f32 {
 /// Writes the features of the edge to a robot with the state `own` from one that had the state `sent` when it sent its
 /// message, `steps` steps before.
 pub fn write_features(manifest: &Manifest, own: &Motion, (sent, steps): (&Motion, u8), row: &mut [f32]) {
-    let age = PERIOD * u64::from(steps);
-    write_edge(&manifest.edge, own, &Neighbour { motion: *sent, features: &[], age }, row);
+    let age_s = (PERIOD * u64::from(steps)).as_secs() as f32;
+    write_edge(&manifest.edge, own, (sent, age_s), row);
 }
 
 /// Runs the episode with this layout, seed and episode number. With `expert` given, the steps are recorded with its

@@ -57,15 +57,13 @@ impl Backdrop<'_> {
     /// Returns for each goal whether it is reached by robots whose points are at `points` \[m\], world frame. That of a
     /// robot's own task also is if it was `before`.
     fn reached(&self, points: &[Vec2], before: &[bool]) -> Vec<bool> {
-        let (goals, arrival_m) = (|| self.tasks.iter().map(|task| task.goal), self.rules.arrival_m);
+        let (goals, arrival_m) = (self.tasks.iter().map(|task| task.goal), self.rules.arrival_m);
         match self.goals {
             Goals::Labelled => {
-                let near = goals().zip(points).map(|(goal, point)| (goal - point).norm() <= arrival_m);
+                let near = goals.zip(points).map(|(goal, point)| (goal - point).norm() <= arrival_m);
                 near.zip(before).map(|(near, before)| near || *before).collect()
             }
-            Goals::Unlabelled => {
-                goals::held(self.tasks.len(), points.iter().map(|point| goals::goal_at(goals(), *point, arrival_m)))
-            }
+            Goals::Unlabelled => goals::held(goals, points.iter().copied(), arrival_m),
         }
     }
 
