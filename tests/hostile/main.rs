@@ -154,7 +154,7 @@ fn survives(kind: &str, seeds: &[Vec<u8>], read: fn(&[u8]) -> bool) {
 
 #[test]
 fn policy_files() {
-    let names = ["python_full", "python_published", "conv_gatv2", "conv_three_hops", "conv_transformer"];
+    let names = ["python_full", "python_published", "conv_gatv2", "conv_three_hops", "conv_transformer", "memory"];
     let seeds = names.map(|name| file(&format!("tests/data/{name}.safetensors")));
     survives("policy", &seeds, readers::policy);
 }

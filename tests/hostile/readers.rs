@@ -14,7 +14,7 @@ use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::Wire;
 use murmurate::net::media::radio::Radio;
-use murmurate::observation::Observation;
+use murmurate::observation::{Observation, Request};
 use murmurate::policy::{Model, Neighbour};
 use murmurate::random::Seed;
 use murmurate::registry::Registry;
@@ -36,7 +36,11 @@ pub fn policy(bytes: &[u8]) -> bool {
     let Ok(model) = Model::from_file(bytes, "passage") else { return false };
     let passage = scenario::build("passage", &Settings::default()).expect("the default is sound");
     let mut policy = model.instance(passage.arena(), RobotId(0));
-    let observation = Observation::new(Motion::at_rest(Vec2::new(0.3, -1.5)), Vec2::new(-0.2, 1.5));
+    let values = vec![0.25; model.requests().iter().map(Request::floats).sum()];
+    let observation = Observation {
+        values: &values,
+        ..Observation::new(Motion::at_rest(Vec2::new(0.3, -1.5)), Vec2::new(-0.2, 1.5))
+    };
     let mut features = vec![0.0; policy.interface().features];
     let heard = vec![0.5; features.len()];
     let neighbour = Neighbour { motion: observation.motion, features: &heard, age: Span::ZERO };
