@@ -13,6 +13,11 @@ use crate::observation::{Channel, Known, Quantity, Unit};
 /// Name of the channel that has the goals of the team, in a scenario whose goals are unlabelled.
 pub const CHANNEL: &str = "goals";
 
+/// Name of the channel that has the goals nearest to the robot.
+pub const NEAREST: &str = "near-goals";
+/// Number of goals of the channel [`NEAREST`], whatever the size of the team.
+pub const NEAREST_GOALS: usize = 4;
+
 /// Robots to which the goals of a scenario belong.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -84,6 +89,29 @@ pub fn channel(robots: usize) -> Channel {
     Channel::new(CHANNEL, "from the robot to each goal of the team, in an order of their places", form, write)
 }
 
+/// Returns the channel [`NEAREST`]: from the robot to each of the [`NEAREST_GOALS`] goals that are nearest to it \[m\],
+/// \[4, 2\], the nearest first. In a smaller team the farthest goal is there several times. They are unknown while a goal
+/// of the team is.
+pub fn nearest() -> Channel {
+    let form = (vec![NEAREST_GOALS, 2], Unit::Metre, Quantity::Vector);
+    Channel::new(
+        NEAREST,
+        "from the robot to the goals of the team that are nearest to it, the nearest first",
+        form,
+        near,
+    )
+}
+
+fn near(known: &Known, values: &mut [f32]) {
+    let Some(goals) = in_order(known.team) else { return values.fill(f32::NAN) };
+    let mut ways: Vec<Vec2> =
+        goals.into_iter().map(|goal| known.own.frame.turn(goal) - known.own.motion.position).collect();
+    ways.sort_by(|one, other| one.norm_squared().total_cmp(&other.norm_squared()));
+    for (index, pair) in values.chunks_exact_mut(2).enumerate() {
+        pair.copy_from_slice(ways[index.min(ways.len() - 1)].as_slice());
+    }
+}
+
 fn write(known: &Known, values: &mut [f32]) {
     let Some(goals) = in_order(known.team) else { return values.fill(f32::NAN) };
     for (pair, goal) in values.chunks_exact_mut(2).zip(goals) {
@@ -102,7 +130,7 @@ fn in_order(team: &[Option<Task>]) -> Option<Vec<Vec2>> {
 mod tests {
     use super::*;
     use crate::messages::geometry::Motion;
-    use crate::observation::Observation;
+    use crate::observation::{Bound, Observation};
 
     #[test]
     fn a_robot_is_at_the_nearest_goal_and_two_robots_at_one_goal_hold_one() {
@@ -134,5 +162,21 @@ mod tests {
         assert_eq!(seen(&goals), [1.0, -5.0, 1.0, 5.0, 2.0, 1.0]);
         assert_eq!(seen(&[goals[2], goals[0], goals[1]]), seen(&goals));
         assert!(seen(&[goals[0], None, goals[1]]).iter().all(|value| value.is_nan()));
+    }
+
+    #[test]
+    fn the_nearest_goal_is_the_first_of_its_channel() {
+        let goals = [[3.0, 1.0], [2.0, 5.0], [0.0, -1.0]].map(Vec2::from);
+        let team = goals.map(|goal| Some(Task { start: Vec2::zeros(), goal }));
+        let nearest = nearest();
+        let bound = Bound::new(&[nearest.request()], &[nearest]).expect("the channel is there");
+        let seen = |team: &[Option<Task>]| {
+            let own = Observation::new(Motion::at_rest(Vec2::new(1.0, 0.0)), Vec2::zeros());
+            let (task, mut values) = (Task { start: Vec2::zeros(), goal: goals[0] }, [0.0; 8]);
+            bound.write(&mut [], &Known { task: &task, team, own: &own, sensed: &[] }, &mut values);
+            values
+        };
+        assert_eq!(seen(&team), [-1.0, -1.0, 2.0, 1.0, 1.0, 5.0, 1.0, 5.0]);
+        assert!(seen(&[team[0], None, team[1]]).iter().all(|value| value.is_nan()));
     }
 }

@@ -107,7 +107,7 @@ pub trait Scenario: Debug + Send + Sync {
     ///
     /// If the goals are unlabelled, the tasks have them in an order that means nothing, and an episode succeeds once
     /// every goal has a robot. The start of a robot in the next episode is the goal of its task all the same. The
-    /// scenario then has the channel `goals::channel`.
+    /// scenario then has the channels `goals::channel` and `goals::nearest`.
     fn goals(&self) -> Goals {
         Goals::Labelled
     }

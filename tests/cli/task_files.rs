@@ -45,6 +45,11 @@ fn a_task_is_checked_and_what_cannot_work_is_named() {
     let output = run(&[&late[..], &["--loss", "0.16", "--layouts", "3", "--json"]].concat());
     let checked = json(&output);
     assert_eq!((&checked["successes"], &checked["robots"]), (&3.into(), &5.into()), "{checked}");
+    let apart = std::fs::read_to_string("examples/tasks/unlabelled-table.toml").expect("the example is there");
+    let wall = "hull_m = 0.07\nwalls = [{ rect = [-1.54, -0.05, 1.54, 0.05] }]";
+    let apart = file(&folder, "apart.toml", &apart.replace("hull_m = 0.07", wall));
+    let said = text(&run(&["task", "check", &apart, "--layouts", "1"]).stdout);
+    assert!(said.contains("goals: no way leads from start to goal in 1 of 1 layout: first for robot 0"), "{said}");
     refuses(&["task", "check", FOUR_ROOMS, "--mode", "onboard-adhoc", "--loss", "2"], &["--loss: 2 is not 0 to 1"]);
     let wrong = file(&folder, "wrong.toml", &TEXT.replace("limit_s = 60.0", "limit_s = -60.0"));
     refuses(&["task", "check", &wrong], &["wrong.toml", "rules.limit_s: -60 is not 1 to 3600"]);

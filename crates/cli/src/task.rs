@@ -6,11 +6,11 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use murmurate::config::shown::{counted, value};
 use murmurate::deploy::{Deployment, Impair};
-use murmurate::messages::geometry::{Planar, Vec2};
+use murmurate::messages::geometry::{Planar, Task, Vec2};
 use murmurate::policy;
 use murmurate::policy::roadmap::Roadmap;
 use murmurate::registry::Registry;
-use murmurate::scenario::{Arena, ScenarioError, Settings};
+use murmurate::scenario::{Arena, ScenarioError, Settings, goals};
 use murmurate::trial::Trial;
 use murmurate_robot::output::print;
 use murmurate_robot::{BadInput, Ended};
@@ -174,7 +174,8 @@ fn text(checked: &Checked) -> String {
     lines.join("\n")
 }
 
-/// Returns a line about the robots that find no way from their starts to their goals.
+/// Returns a line about the robots that find no way from their starts to their goals. Where goals are unlabelled, they
+/// are shared out so that as many as possible find one.
 fn lost(trial: &Trial) -> Option<String> {
     let mut roadmap = Roadmap::new(trial.scenario.arena());
     let (mut layouts, mut first) = (BTreeSet::new(), None);
@@ -182,10 +183,19 @@ fn lost(trial: &Trial) -> Option<String> {
         if let Some(arena) = trial.layouts.arena(episode) {
             roadmap = Roadmap::new(arena);
         }
-        for (robot, task) in trial.layouts.episode(episode).iter().enumerate() {
-            if roadmap.path(task.start, task.goal).is_none() {
+        let tasks = trial.layouts.episode(episode);
+        let is_lost = |robot: usize, goal: usize| roadmap.path(tasks[robot].start, tasks[goal].goal).is_none();
+        let goals: Vec<usize> = if trial.scenario.goals().are_unlabelled() {
+            let pairs = (0..tasks.len()).flat_map(|robot| (0..tasks.len()).map(move |goal| (robot, goal)));
+            let costs: Vec<i64> = pairs.map(|(robot, goal)| is_lost(robot, goal).into()).collect();
+            goals::assigned([tasks.len(); 2], |robot, goal| costs[robot * tasks.len() + goal])
+        } else {
+            (0..tasks.len()).collect()
+        };
+        for (robot, goal) in goals.into_iter().enumerate() {
+            if is_lost(robot, goal) {
                 layouts.insert(episode);
-                first.get_or_insert((robot, episode, *task));
+                first.get_or_insert((robot, episode, Task { start: tasks[robot].start, goal: tasks[goal].goal }));
             }
         }
     }

@@ -131,6 +131,17 @@ impl Scores {
 /// Evaluates a training's current policy on `episodes` layouts of a fixed seed, independent of the layouts of the
 /// training: with both methods of drawing actions, and with disturbed conditions if the training has any.
 pub fn quick_evaluation(trainer: &Trainer, episodes: u32, threads: usize) -> Scores {
+    let own = trainer.settings().config.policy.draw;
+    let other = if own == Draw::Mean { Draw::Sample } else { Draw::Mean };
+    evaluation(trainer, &[own, other], episodes, threads)
+}
+
+/// Evaluates a training's current policy as `quick_evaluation` does, but with the draw method of its manifest alone.
+pub fn glance(trainer: &Trainer, episodes: u32, threads: usize) -> Scores {
+    evaluation(trainer, &[trainer.settings().config.policy.draw], episodes, threads)
+}
+
+fn evaluation(trainer: &Trainer, draws: &[Draw], episodes: u32, threads: usize) -> Scores {
     let settings = trainer.settings();
     let (settings, config) = (without_repeat(&settings), settings.config);
     let robots = trainer.scenario().robots();
@@ -139,9 +150,8 @@ pub fn quick_evaluation(trainer: &Trainer, episodes: u32, threads: usize) -> Sco
         let conditions = Conditions { clean: 0.0, ..config.conditions.clone() };
         EpisodeConditions::draw(&conditions, robots, &mut seed.stream(&format!("train/disturbed/{episode}")))
     };
-    let other = if config.policy.draw == Draw::Mean { Draw::Sample } else { Draw::Mean };
     let mut scores = Vec::new();
-    for draw in [config.policy.draw, other] {
+    for &draw in draws {
         let (parameters, scenario) = (trainer.parameters(), trainer.scenario());
         let evaluation = Evaluation { settings: &settings, parameters, scenario, seed: QUICK_SEED, episodes, draw };
         scores.push(Score::of("perfect", draw, &evaluation.run(|_| EpisodeConditions::perfect(robots), threads)));

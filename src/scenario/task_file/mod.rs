@@ -309,7 +309,10 @@ impl Scenario for FromFile {
     }
 
     fn channels(&self) -> Vec<Channel> {
-        if self.goals().are_unlabelled() { vec![goals::channel(self.robots)] } else { Vec::new() }
+        if !self.goals().are_unlabelled() {
+            return Vec::new();
+        }
+        vec![goals::channel(self.robots), goals::nearest()]
     }
 
     fn distance_to_go(&self, task: &Task, position: Vec2) -> f32 {

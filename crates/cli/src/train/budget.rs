@@ -33,8 +33,8 @@ impl Budget {
 #[derive(Clone, Copy, Debug)]
 pub struct Clock {
     budget: Budget,
-    /// Longest time that one of each has taken so far \[s\]: an iteration, an evaluation, saving all files.
-    longest_s: [f64; 3],
+    /// Longest time that one of each has taken so far \[s\], in the order of `Timed`.
+    longest_s: [f64; 4],
     progress: f64,
 }
 
@@ -43,7 +43,9 @@ pub struct Clock {
 pub enum Timed {
     /// One iteration of the training.
     Iteration,
-    /// One evaluation of the policy.
+    /// One evaluation of the policy on its way.
+    Glance,
+    /// The evaluation at the end.
     Evaluation,
     /// Saving of all files.
     Save,
@@ -52,7 +54,7 @@ pub enum Timed {
 impl Clock {
     /// Returns the clock at the beginning of a training.
     pub fn new(budget: Budget) -> Clock {
-        Clock { budget, longest_s: [0.0; 3], progress: 0.0 }
+        Clock { budget, longest_s: [0.0; 4], progress: 0.0 }
     }
 
     /// Notes how long something took \[s\].
@@ -75,10 +77,9 @@ impl Clock {
     pub fn progress(&mut self, elapsed_s: f64, trained: u64) -> f64 {
         let now = match self.budget {
             Budget::Minutes(minutes) => {
-                let [iteration_s, evaluation_s, save_s] = self.longest_s;
-                // Files may be saved after the iteration and at the end; an evaluation after the last iteration is that
-                // of the end.
-                let after_s = iteration_s + evaluation_s + 2.0 * save_s;
+                let [iteration_s, glance_s, evaluation_s, save_s] = self.longest_s;
+                // Files may be saved after the iteration and at the end.
+                let after_s = iteration_s + glance_s + evaluation_s + 2.0 * save_s;
                 // The first iteration is made, however short the time is.
                 let for_training_s = 60.0 * minutes - if iteration_s > 0.0 { after_s } else { 0.0 };
                 if elapsed_s >= for_training_s { 1.0 } else { elapsed_s / for_training_s }
@@ -99,22 +100,20 @@ impl Clock {
 mod tests {
     use super::*;
 
-    /// Runs a training whose iterations, evaluations (after every twentieth of it, and at the end unless the last
-    /// iteration was evaluated) and saves take these times; returns when it ends, and how many iterations it had.
+    /// Runs a training whose iterations, evaluations (an eighth of one after every twentieth of it, and one at the end)
+    /// and saves take these times; returns when it ends, and how many iterations it had.
     fn ends_at(minutes: f64, [iteration_s, evaluation_s, save_s]: [f64; 3]) -> (f64, u32) {
         let (mut clock, mut now_s, mut iterations, mut evaluated) = (Clock::new(Budget::Minutes(minutes)), 0.0, 0, 0);
         clock.took(Timed::Evaluation, evaluation_s);
-        let mut is_evaluated = false;
         loop {
             let progress = clock.progress(now_s, 0);
             if progress >= 1.0 {
                 break;
             }
             iterations += 1;
-            is_evaluated = (20.0 * progress) as u32 > evaluated;
             for (what, took_s, due) in [
                 (Timed::Iteration, iteration_s, true),
-                (Timed::Evaluation, evaluation_s, is_evaluated),
+                (Timed::Glance, evaluation_s / 8.0, (20.0 * progress) as u32 > evaluated),
                 (Timed::Save, save_s, iterations % 10 == 1),
             ] {
                 if due {
@@ -124,7 +123,7 @@ mod tests {
             }
             evaluated = (20.0 * progress) as u32;
         }
-        (now_s + if is_evaluated { 0.0 } else { evaluation_s } + save_s, iterations)
+        (now_s + evaluation_s + save_s, iterations)
     }
 
     #[test]
@@ -136,7 +135,7 @@ mod tests {
             assert!(end_s <= 60.0 * minutes, "{minutes} min, {times:?}: {end_s} s");
             let unused_s = 60.0 * minutes - end_s;
             assert!(
-                unused_s <= 2.0 * times[0] + times[1] + 3.0 * times[2],
+                unused_s <= 2.0 * times[0] + times[1] / 8.0 + 3.0 * times[2],
                 "{minutes} min, {times:?}: {unused_s} s unused"
             );
             assert!(iterations > 5, "{iterations}");

@@ -38,10 +38,9 @@ pub struct Row {
 
 impl Row {
     /// Returns the row of an iteration from its metrics. `elapsed_s` \[s\] is the duration of the training so far, and
-    /// `progress` (0 to 1) the part of it that is done. `scores` are the results of the evaluation after the iteration,
-    /// if there was one.
-    pub fn new(elapsed_s: f64, progress: f64, metrics: &Metrics, scores: Option<&Scores>) -> Row {
-        let mut row = Row {
+    /// `progress` (0 to 1) the part of it that is done.
+    pub fn new(elapsed_s: f64, progress: f64, metrics: &Metrics) -> Row {
+        Row {
             elapsed_s,
             progress,
             iteration: metrics.iteration,
@@ -62,11 +61,7 @@ impl Row {
             perfect_makespan_s: None,
             disturbed_success: None,
             disturbed_makespan_s: None,
-        };
-        if let Some(scores) = scores {
-            row.set_scores(scores);
         }
-        row
     }
 
     fn set_scores(&mut self, scores: &Scores) {
@@ -110,11 +105,6 @@ impl Curve {
     /// Returns the duration of the training up to the last row \[s\]; 0 without a row.
     pub fn elapsed_s(&self) -> f64 {
         self.rows.last().map_or(0.0, |row| row.elapsed_s)
-    }
-
-    /// Returns the progress of the training at the last evaluation, 0 to 1; 0 if there was none.
-    pub fn evaluated_at(&self) -> f64 {
-        self.rows.iter().rev().find(|row| row.perfect_success.is_some()).map_or(0.0, |row| row.progress)
     }
 
     /// Adds the results of an evaluation to the last row.

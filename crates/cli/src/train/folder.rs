@@ -1,13 +1,11 @@
 //! Output folder of a training. Each file in it is replaced atomically, so that a complete version always exists.
 
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
 use anyhow::{Context, Result};
-use murmurate_train::trainer::Trainer;
-
-use super::curve::Curve;
 use murmurate_robot::destination::check_folder;
 use murmurate_robot::temporary;
 use murmurate_robot::whole_file::WholeFile;
@@ -53,45 +51,32 @@ impl Folder {
         self.write("config.toml", text.as_bytes())
     }
 
-    /// Reads the learning curve in the folder up to `iterations`, the iteration of the checkpoint.
-    pub fn curve(&mut self, iterations: u64) -> Result<Curve> {
+    /// Reads the learning curve in the folder up to `iterations`, the iteration of the checkpoint, by `read`.
+    pub fn curve<C, E: Display>(&mut self, iterations: u64, read: impl FnOnce(&str, u64) -> Result<C, E>) -> Result<C> {
         self.saved = Some(iterations);
         let path = self.path.join("curve.csv");
         let wrong = |e: String| BadInput(format!("cannot read the curve '{}': {e}", path.display()));
         let text = output::read_own(&path).map_err(|e| wrong(e.to_string()))?;
-        Ok(Curve::from_csv(&text, iterations).map_err(|e| wrong(e.to_string()))?)
+        Ok(read(&text, iterations).map_err(|e| wrong(e.to_string()))?)
     }
 
-    /// Saves the policy, the learning curve (CSV and SVG) and the checkpoint. The checkpoint is written last, so that
-    /// the other files are never older.
-    pub fn save(&mut self, trainer: &Trainer, curve: &Curve) -> Result<()> {
-        let plot = curve.plot(trainer.scenario().name())?;
-        let files = (trainer.policy_file(), curve.to_csv()?, plot, trainer.checkpoint());
-        self.save_files(trainer.iterations(), files)
-    }
-
-    /// Saves policy, learning curve as CSV and as SVG, and checkpoint of this iteration, the checkpoint last.
-    pub fn save_files(
+    /// Saves the policy, the learning curve (CSV and SVG) and the checkpoint of this iteration. The checkpoint is
+    /// written last, so that the other files are never older.
+    pub fn save(
         &mut self,
         iteration: u64,
-        (policy, csv, svg, checkpoint): (Vec<u8>, String, String, Vec<u8>),
+        (policy, csv, svg): (Vec<u8>, String, String),
+        checkpoint: &[u8],
     ) -> Result<()> {
         let files = || -> Result<()> {
             self.write("policy.safetensors", &policy)?;
             self.write("curve.csv", csv.as_bytes())?;
             self.write("curve.svg", svg.as_bytes())?;
-            self.write("checkpoint.bin", &checkpoint)
+            self.write("checkpoint.bin", checkpoint)
         };
         files().with_context(|| self.last_saved())?;
         self.saved = Some(iteration);
         Ok(())
-    }
-
-    /// Returns the text of the saved learning curve. `iteration` is that of the checkpoint.
-    pub fn curve_text(&mut self, iteration: u64) -> Result<String> {
-        self.saved = Some(iteration);
-        let path = self.path.join("curve.csv");
-        Ok(output::read_own(&path).map_err(|e| BadInput(format!("cannot read the curve '{}': {e}", path.display())))?)
     }
 
     /// Returns a text for error messages that says which checkpoint was saved last.

@@ -1,25 +1,25 @@
 //! The command `murmurate train` in scenarios without goals: training by imitation (`murmurate_train::imitation`).
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::{Context, Result};
 use plotters::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::budget::{Budget, Clock, Timed};
+use super::budget::Budget;
+use super::course::{self, Past, Training};
 use super::curve::{SIZE, chart, smooth};
 use super::folder::Folder;
-use super::{Args, SAVE_EVERY, bar, finish, plan, resumes};
+use super::{Args, finish, plan};
 use murmurate::config::shown::counted;
 use murmurate::config::{regular, unquoted};
 use murmurate::registry::Registry;
 use murmurate::scenario::Settings;
-use murmurate_robot::output::{self, print, read_text, talk};
+use murmurate_robot::output::{self, print, read_text};
 use murmurate_robot::{BadInput, Ended, bad};
 use murmurate_train::imitation::config::{Config, PRESET};
 use murmurate_train::imitation::trainer::{Metrics, Plan, Score, Trainer};
+use murmurate_train::trainer::Diverged;
 
 /// Number of layouts of the evaluation at the end.
 const EPISODES: u32 = 64;
@@ -52,7 +52,7 @@ struct Report<'a> {
     wall_s: f64,
     unit: &'a str,
     /// Costs at the end of the training; null after an interruption.
-    evaluation: Option<Vec<Score>>,
+    evaluation: Option<&'a [Score]>,
     interrupted: bool,
 }
 
@@ -135,74 +135,79 @@ fn print_config(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
+/// Training with its curve.
+struct ByImitation {
+    trainer: Trainer,
+    rows: Vec<Row>,
+    /// Results of the evaluation at the end.
+    evaluation: Option<Vec<Score>>,
+}
+
+impl Training for ByImitation {
+    type Metrics = Metrics;
+
+    fn decisions(&self) -> u64 {
+        self.trainer.decisions()
+    }
+
+    fn elapsed_s(&self) -> f64 {
+        self.rows.last().map_or(0.0, |row| row.elapsed_s)
+    }
+
+    fn iterate(&mut self, progress: f64, threads: usize) -> Result<Metrics, Diverged> {
+        self.trainer.iterate(progress, threads)
+    }
+
+    fn note(&mut self, elapsed_s: f64, progress: f64, metrics: &Metrics) {
+        self.rows.push(row(elapsed_s, progress, metrics));
+    }
+
+    // Each iteration has the cost of its own episodes.
+    fn glance(&mut self, _: usize) {}
+
+    fn rehearse(&self, threads: usize) -> u32 {
+        self.trainer.evaluate(EPISODES / EVALUATION_PART, threads);
+        EVALUATION_PART
+    }
+
+    fn evaluate(&mut self, threads: usize) {
+        self.evaluation = Some(self.trainer.evaluate(EPISODES, threads));
+    }
+
+    fn summary(&self) -> String {
+        let Some(Row { decisions, loss, cost, .. }) = self.rows.last() else { return String::new() };
+        format!("{decisions} decisions, loss {loss:.4}, cost {cost:.4}")
+    }
+
+    fn save(&self, folder: &mut Folder) -> Result<()> {
+        let ByImitation { trainer, rows, .. } = self;
+        let mut csv = csv::Writer::from_writer(Vec::new());
+        rows.iter().try_for_each(|row| csv.serialize(row)).context("a row is CSV")?;
+        let csv = String::from_utf8(csv.into_inner().context("a curve is CSV")?).context("CSV is text")?;
+        let svg = plot(&trainer.plan().scenario, trainer.scenario().cost().map_or("", |cost| cost.unit), rows)?;
+        folder.save(trainer.iterations(), (trainer.policy_file(), csv, svg), &trainer.checkpoint())
+    }
+}
+
 /// Runs `train` in a scenario without goals.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     if args.print_config {
         return print_config(args, registry);
     }
     let (budget, began) = (Budget::of(args)?, Instant::now());
-    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    let threads = args.threads.map_or(cores, usize::from);
-    let out = args.out.as_deref().expect("the parser requires it unless the configuration is printed");
-    let mut folder = Folder::open(out, args.resume.is_some())?;
-    let resumes = resumes(args, &folder);
-    let (mut trainer, mut rows) = match resumes {
-        true => {
-            let trainer = resume(args, &folder, registry)?;
-            let rows = rows_of(&folder.curve_text(trainer.iterations())?, trainer.iterations())?;
-            (trainer, rows)
-        }
-        false => (begin(args, registry)?, Vec::new()),
+    let (mut folder, resumes) = super::open_folder(args)?;
+    let mut training = if resumes {
+        let trainer = resume(args, &folder, registry)?;
+        let rows = folder.curve(trainer.iterations(), rows_of)?;
+        ByImitation { trainer, rows, evaluation: None }
+    } else {
+        let training = ByImitation { trainer: begin(args, registry)?, rows: Vec::new(), evaluation: None };
+        folder.write_config(&training.trainer.plan().config)?;
+        training.save(&mut folder)?;
+        training
     };
-    if !resumes {
-        folder.write_config(&trainer.plan().config)?;
-        save(&mut folder, &trainer, &rows)?;
-    }
-    let stop = Arc::new(AtomicBool::new(false));
-    let signal = Arc::clone(&stop);
-    ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
-    tracing::info!("training by imitation; Ctrl-C saves everything");
-    let spent_s = rows.last().map_or(0.0, |row: &Row| row.elapsed_s);
-    let elapsed_s = || spent_s + began.elapsed().as_secs_f64();
-    let mut clock = Clock::new(budget);
-    if clock.counts_minutes() {
-        // The only evaluation comes at the end: a part of one says how long that will take.
-        let part = Instant::now();
-        trainer.evaluate(EPISODES / EVALUATION_PART, threads);
-        clock.took(Timed::Evaluation, f64::from(EVALUATION_PART) * part.elapsed().as_secs_f64());
-    }
-    let bar = bar(args.quiet);
-    let (mut saved, mut interrupted) = (Instant::now(), false);
-    loop {
-        let progress = clock.progress(elapsed_s(), trainer.decisions());
-        interrupted |= stop.load(Ordering::Relaxed);
-        if progress >= 1.0 || interrupted {
-            break;
-        }
-        let metrics = match clock.time(Timed::Iteration, || trainer.iterate(progress, threads)) {
-            Ok(metrics) => metrics,
-            Err(diverged) => {
-                bar.abandon();
-                return Err(anyhow::anyhow!("{diverged}; {}", folder.last_saved()));
-            }
-        };
-        rows.push(row(elapsed_s(), progress, &metrics));
-        let Metrics { decisions, loss, cost, .. } = metrics;
-        let summary = format!("{decisions} decisions, loss {loss:.4}, cost {cost:.4}");
-        bar.set_position((progress * 1000.0) as u64);
-        bar.set_message(summary.clone());
-        if saved.elapsed() >= SAVE_EVERY {
-            saved = Instant::now();
-            clock.time(Timed::Save, || save(&mut folder, &trainer, &rows))?;
-            if bar.is_hidden() && !args.quiet {
-                talk(&format!("{:3.0} %  {summary}", 100.0 * progress));
-            }
-        }
-    }
-    save(&mut folder, &trainer, &rows)?;
-    let evaluation = (!interrupted).then(|| trainer.evaluate(EPISODES, threads));
-    bar.finish_and_clear();
-    let report = report(&folder, &trainer, (elapsed_s(), evaluation, interrupted));
+    let Past { elapsed_s, interrupted } = course::run(&mut training, &mut folder, (budget, began), args)?;
+    let report = report(&folder, &training, (elapsed_s, interrupted));
     finish(args, &report, table, interrupted)
 }
 
@@ -212,18 +217,9 @@ fn row(elapsed_s: f64, progress: f64, metrics: &Metrics) -> Row {
 }
 
 /// Parses a learning curve, and keeps the rows up to the iteration `iterations`.
-fn rows_of(text: &str, iterations: u64) -> Result<Vec<Row>> {
+fn rows_of(text: &str, iterations: u64) -> Result<Vec<Row>, csv::Error> {
     let rows: Result<Vec<Row>, csv::Error> = csv::Reader::from_reader(text.as_bytes()).deserialize().collect();
-    let rows = rows.map_err(|e| BadInput(format!("cannot read the curve: {e}")))?;
-    Ok(rows.into_iter().filter(|row| row.iteration <= iterations).collect())
-}
-
-fn save(folder: &mut Folder, trainer: &Trainer, rows: &[Row]) -> Result<()> {
-    let mut csv = csv::Writer::from_writer(Vec::new());
-    rows.iter().try_for_each(|row| csv.serialize(row)).context("a row is CSV")?;
-    let csv = String::from_utf8(csv.into_inner().context("a curve is CSV")?).context("CSV is text")?;
-    let svg = plot(&trainer.plan().scenario, trainer.scenario().cost().map_or("", |cost| cost.unit), rows)?;
-    folder.save_files(trainer.iterations(), (trainer.policy_file(), csv, svg, trainer.checkpoint()))
+    Ok(rows?.into_iter().filter(|row| row.iteration <= iterations).collect())
 }
 
 /// Plots loss and cost over the decisions; returns the SVG.
@@ -251,11 +247,8 @@ fn plot(scenario: &str, unit: &str, rows: &[Row]) -> Result<String> {
 }
 
 /// Returns the result of the training.
-fn report<'a>(
-    folder: &Folder,
-    trainer: &'a Trainer,
-    (wall_s, evaluation, interrupted): (f64, Option<Vec<Score>>, bool),
-) -> Report<'a> {
+fn report<'a>(folder: &Folder, training: &'a ByImitation, (wall_s, interrupted): (f64, bool)) -> Report<'a> {
+    let trainer = &training.trainer;
     let plan = trainer.plan();
     Report {
         policy: folder.policy().display().to_string(),
@@ -266,7 +259,7 @@ fn report<'a>(
         iterations: trainer.iterations(),
         wall_s,
         unit: trainer.scenario().cost().map_or("", |cost| cost.unit),
-        evaluation,
+        evaluation: training.evaluation.as_deref(),
         interrupted,
     }
 }
@@ -275,7 +268,7 @@ fn table(report: &Report) -> String {
     let Report { decisions, wall_s, preset, scenario, seed, unit, .. } = report;
     let mut lines =
         vec![format!("{} in {wall_s:.0} s; {preset} for '{scenario}', seed {seed}", counted(decisions, "decision"))];
-    for score in report.evaluation.iter().flatten() {
+    for score in report.evaluation.into_iter().flatten() {
         let (conditions, collided) = (score.conditions, 100.0 * score.collided);
         lines.push(format!(
             "{conditions:<10} cost [{unit}] {score}  collisions in {collided:.0} %  ({EPISODES} layouts)"

@@ -1,5 +1,7 @@
 //! Creates the [`Trainer`] of a new or a resumed training from the flags.
 
+use std::sync::Arc;
+
 use anyhow::{Context, Result};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -11,8 +13,9 @@ use crate::size;
 use crate::study;
 use murmurate::config::{ConfigError, from_table, regular, unquoted};
 use murmurate::deploy::conditions::Conditions;
+use murmurate::policy::hops::entry;
 use murmurate::registry::Registry;
-use murmurate::scenario::{ScenarioError, Settings};
+use murmurate::scenario::{Scenario, ScenarioError, Settings, goals};
 use murmurate_robot::BadInput;
 use murmurate_robot::output::{self, read_bytes, read_text};
 use murmurate_robot::own_name;
@@ -41,11 +44,6 @@ pub fn config_text(args: &Args, registry: &Registry) -> Result<String> {
 /// Returns the plan of a training (scenario, preset, configuration, seed) that the flags define. The groups of robots
 /// in a preset are scaled to the size of the team.
 fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
-    let settings = args.size.over(Settings { robots: args.robots, ..Settings::default() });
-    if registry.scenario(&args.scenario, &settings).is_ok_and(|scenario| scenario.goals().are_unlabelled()) {
-        let why = "its goals are unlabelled, and a policy of 'train' observes one goal of its own; train in Python";
-        return Err(BadInput(format!("{}: {why}", args.scenario)).into());
-    }
     let preset = args.preset.as_deref().unwrap_or(PRESET);
     let (mut config, preset) = match &args.config {
         Some(path) => {
@@ -76,8 +74,27 @@ fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
         given.delay_s = delay_s.map_or(given.delay_s, |delay_s| [delay_s as f32; 2]);
         given.loss = loss.map_or(given.loss, |loss| [loss as f32; 2]);
     }
+    let settings = config.settings(config.robots, None);
+    let is_unlabelled = |scenario: Arc<dyn Scenario>| scenario.goals().are_unlabelled();
+    if registry.scenario(&args.scenario, &settings).is_ok_and(is_unlabelled) && !sees_goals(&config) {
+        return Err(BadInput(format!(
+            "{}: its goals are unlabelled, and policy.observation has the goal of the robot's own task alone. In its \
+             place put {{ name = \"{}\", shape = [{}, 2], unit = \"m\", frame = \"policy\" }}, or see \
+             policies/unlabelled.toml",
+            args.scenario,
+            goals::NEAREST,
+            goals::NEAREST_GOALS,
+        ))
+        .into());
+    }
     let (scenario, preset) = (args.scenario.clone(), preset.to_owned());
     Ok(Plan { scenario, task: None, preset, config, seed: args.seed.unwrap_or(0) })
+}
+
+/// Returns whether a policy of the configuration observes goals of the team besides that of its own task.
+fn sees_goals(config: &Config) -> bool {
+    let requests = entry::requests(&config.policy.observation);
+    requests.iter().any(|request| [goals::CHANNEL, goals::NEAREST].contains(&&*request.channel))
 }
 
 /// Returns the configuration with the scale and hull of the flags, or else of the conditions file.
