@@ -8,7 +8,7 @@ use murmurate::policy::hops::entry::Entry;
 use murmurate::policy::manifest::Field;
 use murmurate::scenario::{Scenario, ScenarioError, Settings};
 use murmurate_train::config::{Conditions, Config, CurriculumStage, Reward};
-use murmurate_train::imitation::config::Config as Imitation;
+use murmurate_train::imitation::config::{Config as Imitation, PRESET};
 use murmurate_train::vector::{Autoreset, Content, Lidar, Options};
 use pyo3::exceptions::{PyUserWarning, PyValueError};
 use pyo3::prelude::*;
@@ -268,7 +268,7 @@ impl Arguments<'_, '_> {
 /// Returns the configuration for a scenario whose robots have no goals: the scenario's own reward and nothing else, the
 /// duration of its episodes, and the observation and the limits of trainings by imitation.
 fn without_goals(scenario: &dyn Scenario, config: Config) -> Config {
-    let learnt = Imitation::preset().policy;
+    let learnt = Imitation::preset(PRESET).expect("the program has it").policy;
     let reward = Reward {
         scale: 1.0,
         scenario: 1.0,

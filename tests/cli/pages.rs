@@ -175,7 +175,8 @@ impl Sandbox {
         fs::copy(weights, sandbox.at("weights.safetensors")).expect("a policy file");
         sandbox.write("my-room.toml", "noise_loss = 0.05\n");
         sandbox.write("small.toml", &small_training());
-        sandbox.write("small-imitation.toml", &small_imitation());
+        sandbox.write("small-imitation.toml", &small_imitation("imitation", 20));
+        sandbox.write("small-coverage.toml", &small_imitation("coverage", 2));
         for block in page.blocks() {
             if let Some(file) = block.file() {
                 sandbox.write(file, &block.text);
@@ -212,11 +213,13 @@ fn small_training() -> String {
     toml::to_string(&config).expect("a configuration is TOML")
 }
 
-/// A training by imitation that takes little time.
-fn small_imitation() -> String {
-    let mut config = murmurate_train::imitation::config::Config::preset();
-    (config.robots, config.imitation.episodes) = (Some(20), 1);
+/// A training by imitation that takes little time, from the preset of this name.
+fn small_imitation(preset: &str, robots: usize) -> String {
+    let mut config = murmurate_train::imitation::config::Config::preset(preset).expect("it is a preset");
+    (config.robots, config.imitation.episodes) = (Some(robots), 1);
     (config.policy.message, config.policy.update) = (vec![4], vec![4]);
+    // Ten seconds are one decision where a preset holds them at all.
+    config.imitation.repeat = if config.imitation.repeat > 1 { 200 } else { 1 };
     toml::to_string(&config).expect("a configuration is TOML")
 }
 
@@ -277,8 +280,9 @@ impl Args {
             }
             ("study", _) => self.with("--layouts", "1").with("--repeats", "1").quiet(),
             ("train", _) if self.has("--print-config") => self,
-            ("train", Some("flocking")) => {
-                let small = self.without("--preset").without("--robots").with("--config", "small-imitation.toml");
+            ("train", Some(name @ ("flocking" | "coverage"))) => {
+                let config = if name == "coverage" { "small-coverage.toml" } else { "small-imitation.toml" };
+                let small = self.without("--preset").without("--robots").with("--config", config);
                 small.without("--minutes").with("--steps", "100").quiet()
             }
             ("train", _) => {

@@ -10,9 +10,26 @@ use murmurate::trial::Trial;
 use murmurate_train::imitation::config::Config;
 use murmurate_train::imitation::trainer::{Plan, Trainer};
 
+/// Returns the plan of a small training of velocities, from a map of each robot, by an expert that knows more.
+fn coverage() -> Plan {
+    let mut config = Config::preset("coverage").expect("it is a preset");
+    (config.robots, config.policy.hops, config.imitation.episodes) = (Some(3), 2, 2);
+    config.policy.observation =
+        serde_json::from_str(r#"["position", {"name": "coarse-map", "shape": [3, 6, 6], "unit": "1"}]"#)
+            .expect("they are entries");
+    (config.policy.encoder, config.policy.message, config.policy.update) = (vec![16, 12], vec![12], vec![12]);
+    (config.policy.radius_m, config.policy.limit_m_s) = (1.0, 0.15);
+    (config.imitation.length_m, config.imitation.speed_m_s) = (1.0, 0.15);
+    Plan { scenario: "coverage-table".to_owned(), preset: "small".to_owned(), config, seed: 5 }
+}
+
+fn tasks() -> Registry {
+    murmurate_tasks::add(Registry::builtin())
+}
+
 /// Returns the plan of a small training.
 fn plan(hops: usize, seed: u64) -> Plan {
-    let mut config = Config::preset();
+    let mut config = Config::preset("imitation").expect("it is a preset");
     (config.robots, config.policy.hops, config.imitation.episodes) = (Some(20), hops, 3);
     (config.policy.message, config.policy.update) = (vec![16], vec![16, 8]);
     Plan { scenario: "flocking".to_owned(), preset: "small".to_owned(), config, seed }
@@ -43,6 +60,52 @@ fn the_same_seed_gives_the_same_weights_on_any_number_of_threads_and_after_a_res
     assert!(file == train(resumed, 1..3, 2).1, "resumed");
     assert!(file != train(trainer(2, 4), 0..3, 1).1, "another seed");
     assert!(Trainer::resume(&checkpoint[1..], &Registry::builtin()).is_err());
+}
+
+#[test]
+fn velocities_and_channels_are_learnt_with_equal_weights_on_any_number_of_threads_and_after_a_resumption() {
+    let begin = || Trainer::new(coverage(), &tasks()).expect("it is sound");
+    let (checkpoint, file) = train(begin(), 0..3, 1);
+    assert!(file == train(begin(), 0..3, 3).1, "three threads");
+    let resumed = Trainer::resume(&checkpoint, &tasks()).expect("it was just written");
+    assert!(file == train(resumed, 1..3, 2).1, "resumed");
+}
+
+#[test]
+fn the_file_of_a_training_of_velocities_covers_as_the_trainers_rollouts_do() {
+    let mut plan = coverage();
+    // A decision in each step, as in a run.
+    (plan.config.imitation.repeat, plan.config.imitation.episodes) = (1, 1);
+    let mut trainer = Trainer::new(plan, &tasks()).expect("it is sound");
+    for iteration in 0..3 {
+        trainer.iterate(f64::from(iteration) / 3.0, 2).expect("it stays finite");
+    }
+    let [_, lockstep, _] = &trainer.evaluate(3, 2)[..] else { panic!("three scores") };
+    let model = Model::from_file(&trainer.policy_file(), "coverage-table").expect("it is sound");
+    let trial = Trial::from_registry(&tasks(), "sim", "coverage-table", Some(3)).expect("a preset").model(model);
+    let report = trial.seed(0x9a11_e7a1).episodes(3).run();
+    let mean = report.episodes.iter().filter_map(|episode| episode.cost).sum::<f64>() / 3.0;
+    let difference = (mean - lockstep.cost_mean).abs() / mean;
+    assert!(difference < 1e-3, "{mean} in a run, {} in the trainer", lockstep.cost_mean);
+}
+
+#[test]
+fn what_the_scenario_or_a_training_by_imitation_has_not_is_refused_by_field() {
+    let refused = |observation: &str| {
+        let mut plan = coverage();
+        plan.config.policy.observation = serde_json::from_str(observation).expect("they are entries");
+        Trainer::new(plan, &tasks()).expect_err("it is refused").to_string()
+    };
+    let missing = refused(r#"[{"name": "lidar", "shape": [3], "unit": "m"}]"#);
+    assert!(missing.starts_with("policy.observation: ") && missing.contains("no channel 'lidar'"), "{missing}");
+    let other = refused(r#"[{"name": "coarse-map", "shape": [3, 8, 8], "unit": "1"}]"#);
+    assert!(other.starts_with("policy.observation: ") && other.contains("[3, 6, 6]"), "{other}");
+    let unknown = refused(r#"[{"name": "heading", "shape": [1], "unit": "rad", "frame": "world"}]"#);
+    assert!(unknown.starts_with("policy.observation: ") && unknown.contains("no value"), "{unknown}");
+    let mut elsewhere = Plan { scenario: "flocking".to_owned(), ..coverage() };
+    elsewhere.config.robots = None;
+    let elsewhere = Trainer::new(elsewhere, &tasks()).expect_err("it is refused").to_string();
+    assert!(elsewhere.starts_with("expert: 'coverage-clairvoyant'"), "{elsewhere}");
 }
 
 #[test]

@@ -32,6 +32,16 @@ fn robots_that_go_to_what_they_see_cover_better_than_robots_that_stand() {
 }
 
 #[test]
+fn a_team_that_knows_more_covers_better() {
+    let cost = |policy: &str| {
+        let report = crate::trial("sim", ("coverage-table", None), policy).episodes(8).run();
+        report.episodes.iter().filter_map(|episode| episode.cost).sum::<f64>() / 8.0
+    };
+    let [clairvoyant, centralised, alone] = ["coverage-clairvoyant", "coverage-centralised", "coverage-cvt"].map(cost);
+    assert!(clairvoyant < centralised && centralised < alone, "{clairvoyant} {centralised} {alone}");
+}
+
+#[test]
 fn equal_seeds_cover_equally() {
     let run = || trial("offboard", "coverage-table", Some(3)).run();
     let (one, other) = (run(), run());

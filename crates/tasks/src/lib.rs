@@ -17,6 +17,8 @@ pub fn add(registry: Registry) -> Registry {
         .with_scenario(coverage::scenario::COVERAGE)
         .with_scenario(coverage::scenario::COVERAGE_TABLE)
         .with_policy(coverage::policy::COVERAGE_CVT)
+        .with_policy(coverage::privileged::COVERAGE_CENTRALISED)
+        .with_policy(coverage::privileged::COVERAGE_CLAIRVOYANT)
         .with_scenario(field::scenario::FLOCKING_FIELD)
         .with_scenario(field::scenario::FLOCKING_FIELD_TABLE)
         .with_policy(field::policy::FLOCK_FIELD)

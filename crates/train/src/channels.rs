@@ -8,7 +8,7 @@ use murmurate::config::ConfigError;
 use murmurate::messages::geometry::{Task, Vec2};
 use murmurate::messages::local::Sensation;
 use murmurate::messages::wire::Features;
-use murmurate::observation::{Bound, Channel, Known, Observation, Request};
+use murmurate::observation::{Bound, Channel, ChannelError, Known, Observation, Request};
 use murmurate::policy::hops::entry::Entry;
 use murmurate::random::Stream;
 use murmurate::scenario::{Arena, Scenario};
@@ -68,18 +68,33 @@ impl Channels {
             Scanner::of(name, settings).map_err(|error| error.within("senses"))
         };
         let scanners = senses.iter().map(scanner).collect::<Result<Vec<Scanner>, _>>()?;
+        let of_senses: Vec<Channel> =
+            senses.keys().zip(&scanners).enumerate().map(|(at, (name, scanner))| scanner.channel(name, at)).collect();
+        let joined = Channels::joined(&requests, (scanners, &of_senses), scenarios);
+        joined.map_err(|error| ConfigError::field("policy.observation", error.to_string()))
+    }
+
+    /// Joins the channels that a policy takes with those of `scenario`; `None` if it takes none.
+    ///
+    /// # Errors
+    /// The scenario has not one of them, or has it otherwise.
+    pub fn of_scenario(requests: &[Request], scenario: &Arc<dyn Scenario>) -> Result<Option<Channels>, ChannelError> {
+        Channels::joined(requests, (Vec::new(), &[]), std::slice::from_ref(scenario))
+    }
+
+    fn joined(
+        requests: &[Request],
+        (scanners, of_senses): (Vec<Scanner>, &[Channel]),
+        scenarios: &[Arc<dyn Scenario>],
+    ) -> Result<Option<Channels>, ChannelError> {
         if requests.is_empty() {
             return Ok(None);
         }
-        let of_senses: Vec<Channel> =
-            senses.keys().zip(&scanners).enumerate().map(|(at, (name, scanner))| scanner.channel(name, at)).collect();
         let largest = scenarios.iter().map(|scenario| scenario.robots()).max().unwrap_or(0);
         let mut bound = vec![None; largest + 1];
         for scenario in scenarios {
-            let channels = [scenario.channels(), of_senses.clone()].concat();
-            let join = Bound::new(&requests, &channels);
-            let join = join.map_err(|error| ConfigError::field("policy.observation", error.to_string()))?;
-            bound[scenario.robots()] = Some(join);
+            let channels = [&scenario.channels(), of_senses].concat();
+            bound[scenario.robots()] = Some(Bound::new(requests, &channels)?);
         }
         Ok(Some(Channels {
             sensed: vec![None; scanners.len()],

@@ -17,7 +17,7 @@ use murmurate::registry::Registry;
 use murmurate::scenario::Settings;
 use murmurate_robot::output::{self, print, read_text};
 use murmurate_robot::{BadInput, Ended, bad};
-use murmurate_train::imitation::config::{Config, PRESET};
+use murmurate_train::imitation::config::{Config, PRESETS};
 use murmurate_train::imitation::trainer::{Metrics, Plan, Score, Trainer};
 use murmurate_train::trainer::Diverged;
 
@@ -63,7 +63,7 @@ pub fn is_meant(args: &Args, registry: &Registry) -> Result<bool> {
         return Ok(Config::is_in(&read_text(path, "training configuration")?));
     }
     if let Some(preset) = &args.preset {
-        return Ok(preset == PRESET);
+        return Ok(PRESETS.iter().any(|(name, _)| name == preset));
     }
     let settings = args.size.over(Settings { robots: args.robots, ..Settings::default() });
     let scenario = registry.scenario(&args.scenario, &settings);
@@ -87,7 +87,11 @@ fn plan_of(args: &Args) -> Result<Plan> {
             let wrong = |e| BadInput(format!("the training configuration '{}': {e}", path.display()));
             (config.map_err(wrong)?, "a configuration of the user's")
         }
-        None => (Config { robots: args.robots, ..Config::preset() }, PRESET),
+        None => {
+            let name = args.preset.as_deref().unwrap_or_else(|| Config::preset_of(&args.scenario));
+            let preset = Config::preset(name).expect("the parser accepts presets only");
+            (Config { robots: args.robots, ..preset }, name)
+        }
     };
     let (scale, hull_m) = (args.size.scale.or(config.scale), args.size.hull_m.or(config.hull_m));
     let config = Config { scale, hull_m, ..config };
@@ -130,7 +134,7 @@ fn print_config(args: &Args, registry: &Registry) -> Result<Ended> {
     let plan = begin(args, registry)?.plan().clone();
     let text = toml::to_string(&plan.config).context("a configuration is TOML")?;
     let name = &args.scenario;
-    let head = format!("# Training of '{name}', from preset '{PRESET}'. Fields: docs/training.md.");
+    let head = format!("# Training of '{name}', from preset '{}'. Fields: docs/training.md.", plan.preset);
     print(format!("{head} Use: murmurate train {name} --config FILE.toml\n{text}").trim_end())?;
     Ok(Ended::Done)
 }
@@ -239,7 +243,7 @@ fn plot(scenario: &str, unit: &str, rows: &[Row]) -> Result<String> {
             chart(area, title, (last, 0.0..1.05 * high), y, (&[("in training", points)], &[]))
         };
         let title = format!("Training '{scenario}' by imitation");
-        draw(&upper, &title, "squared error of the acceleration", line(|row| f64::from(row.loss)))?;
+        draw(&upper, &title, "squared error of the action", line(|row| f64::from(row.loss)))?;
         draw(&lower, "", &format!("cost of the policy's episodes [{unit}]"), line(|row| row.cost))?;
         area.present()?;
     }

@@ -15,7 +15,7 @@ use anyhow::{Context, Result};
 use clap::builder::PossibleValuesParser;
 use murmurate::registry::Registry;
 use murmurate_train::config::PRESETS;
-use murmurate_train::imitation::config::PRESET as PRESET_WITHOUT_GOALS;
+use murmurate_train::imitation::config::PRESETS as PRESETS_WITHOUT_GOALS;
 use serde::Serialize;
 
 use crate::drive;
@@ -37,11 +37,12 @@ pub struct Args {
     scenario: String,
     /// Preset of the configuration: 'published' for lock step and perfect messages, 'robust' for delay, loss and lag,
     /// 'any-size' for these, teams of two to twelve and the safety filter, 'imitation' of a scripted policy in a
-    /// scenario without goals [default: robust, or imitation without goals]
+    /// scenario without goals, 'coverage' of the one that knows the whole density [default: robust, or without goals
+    /// the one that is named as the scenario, or imitation]
     #[arg(
         long,
         conflicts_with = "config",
-        value_parser = PossibleValuesParser::new(PRESETS.iter().map(|(name, _)| *name).chain([PRESET_WITHOUT_GOALS]))
+        value_parser = PossibleValuesParser::new(PRESETS.iter().chain(&PRESETS_WITHOUT_GOALS).map(|(name, _)| *name))
     )]
     preset: Option<String>,
     /// A configuration of your own; --print-config prints one to start from

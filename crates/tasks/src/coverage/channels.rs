@@ -1,6 +1,7 @@
-//! Channels of coverage: what a robot's sensor covers, and a local map of what the robot has seen so far.
+//! Channels of coverage: what a robot's sensor covers, local maps of what the robot has seen so far, and for baselines
+//! the whole density.
 
-use murmurate::messages::geometry::Vec2;
+use murmurate::messages::geometry::{Task, Vec2};
 use murmurate::observation::{Channel, Known, Quantity, Unit};
 
 use super::{
@@ -12,6 +13,10 @@ use super::{
 pub const DENSITY: &str = "density";
 /// Name of the channel that has a robot's local map.
 pub const MAP: &str = "map";
+/// Name of the channel that has a robot's local map in coarse cells.
+pub const COARSE_MAP: &str = "coarse-map";
+/// Name of the channel that has the means of the Gaussians of the density.
+pub const MEANS: &str = "means";
 /// Planes of a local map: importance of the cells that the robot has seen, whether it has seen them, and whether they
 /// are on the ground.
 const PLANES: usize = 3;
@@ -30,7 +35,47 @@ pub(super) fn map(size: &'static Size) -> Channel {
     let about = "what the robot has seen around it: importance, seen (1) or not, ground (1) or not, along x, then y";
     let form = (vec![PLANES, across, across], Unit::One, Quantity::Number);
     let cells = size.grid.cells * size.grid.cells;
-    Channel::remembering(MAP, about, form, cells, move |seen, known, values| look(size, seen, known, values))
+    Channel::remembering(MAP, about, form, cells, move |seen, known, values| {
+        values.fill(0.0);
+        look(size, seen, known, |[row, column], planes| {
+            for (plane, value) in planes.into_iter().enumerate() {
+                values[(plane * across + row) * across + column] = value;
+            }
+        })
+        .unwrap_or_else(|Untold| values.fill(f32::NAN));
+    })
+}
+
+/// Returns the channel `coarse-map`: the local map with several cells as one, so that a small network can take it.
+pub(super) fn coarse_map(size: &'static Size) -> Channel {
+    let (cells, joined) = (size.grid.cells * size.grid.cells, size.coarse_cells);
+    let across = size.grid.across(size.local_map_m) / joined;
+    let about = "the map in coarse cells: mean importance (1: middle of a usual Gaussian), shares seen and of ground";
+    let form = (vec![PLANES, across, across], Unit::One, Quantity::Number);
+    let share = 1.0 / (joined * joined) as f32;
+    let factors = [share / size.usual_importance() as f32, share, share];
+    Channel::remembering(COARSE_MAP, about, form, cells, move |seen, known, values| {
+        values.fill(0.0);
+        look(size, seen, known, |[row, column], planes| {
+            for (plane, (value, factor)) in planes.into_iter().zip(factors).enumerate() {
+                values[(plane * across + row / joined) * across + column / joined] += value * factor;
+            }
+        })
+        .unwrap_or_else(|Untold| values.fill(f32::NAN));
+    })
+}
+
+/// Returns the channel `means`: the means of the Gaussians, of which the whole density follows, in a team of `robots`.
+/// No robot knows them by its sensor; it is for baselines that know more than a robot can.
+pub(super) fn means(robots: usize) -> Channel {
+    let about = "means of the density's Gaussians, which robots do not know: for baselines only";
+    Channel::new(MEANS, about, (vec![robots, 2], Unit::Metre, Quantity::Point), |known, values| {
+        let goal = |task: &Option<Task>| task.map_or(Vec2::repeat(f32::NAN), |task| known.own.frame.turn(task.goal));
+        values.fill(f32::NAN);
+        for (value, task) in values.chunks_exact_mut(2).zip(known.team) {
+            value.copy_from_slice(goal(task).as_slice());
+        }
+    })
 }
 
 /// Writes what the sensor of a robot covers: for each cell, the integral of the density over it, row after row; 0
@@ -51,15 +96,24 @@ fn sense(size: &Size, known: &Known, values: &mut [f32]) {
     }
 }
 
-/// Adds what the sensor covers to the cells that the robot has `seen`, and writes its local map. A cell that was seen
-/// holds its importance, or the smallest positive number if it has none; all others hold 0.
-fn look(size: &Size, seen: &mut [f32], known: &Known, values: &mut [f32]) {
+/// The density is not known yet, as the task of a robot of the team is not.
+struct Untold;
+
+/// Adds what the sensor covers to the cells that the robot has `seen`, and calls `write` with each cell of its local
+/// map that is on the ground: row and column in the map, and the values of the planes. A cell that was seen holds its
+/// importance, or the smallest positive number if it has none; all others hold 0.
+fn look(
+    size: &Size,
+    seen: &mut [f32],
+    known: &Known,
+    mut write: impl FnMut([usize; 2], [f32; PLANES]),
+) -> Result<(), Untold> {
     let grid = size.grid;
-    let (covered, across) = (grid.across(size.sensor_m), grid.across(size.local_map_m));
+    let covered = grid.across(size.sensor_m);
     let mut sensed = vec![0.0; covered * covered];
     sense(size, known, &mut sensed);
     if sensed.iter().any(|value| value.is_nan()) {
-        return values.fill(f32::NAN);
+        return Err(Untold);
     }
     let at = size.on_ground(known.own.motion.position);
     let window = grid.window(at, size.sensor_m);
@@ -69,24 +123,20 @@ fn look(size: &Size, seen: &mut [f32], known: &Known, values: &mut [f32]) {
         let cells = &mut seen[of_ground * grid.cells..][window.columns.clone()];
         cells.iter_mut().zip(new).for_each(|(cell, value)| *cell = value.max(f32::MIN_POSITIVE));
     }
-    values.fill(0.0);
     let window = grid.window(at, size.local_map_m);
     let [below, left] = grid.outside(at, size.local_map_m);
     for (row, of_ground) in window.rows.clone().enumerate() {
-        let first = (below + row) * across + left;
         for (column, cell) in seen[of_ground * grid.cells..][window.columns.clone()].iter().enumerate() {
             let importance = if *cell > f32::MIN_POSITIVE { *cell } else { 0.0 };
-            let planes = [importance, if *cell > 0.0 { 1.0 } else { 0.0 }, 1.0];
-            for (plane, value) in planes.into_iter().enumerate() {
-                values[plane * across * across + first + column] = value;
-            }
+            write([below + row, left + column], [importance, if *cell > 0.0 { 1.0 } else { 0.0 }, 1.0]);
         }
     }
+    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
-    use murmurate::messages::geometry::{Motion, Task};
+    use murmurate::messages::geometry::Motion;
     use murmurate::observation::{Bound, Observation};
 
     use super::*;
@@ -150,5 +200,29 @@ mod tests {
         let (_, rim) = map_at(Vec2::new(-1.0, 0.0));
         assert!(rim[2][..15 * across].iter().all(|ground| *ground == 0.0), "half of it is outside the ground");
         assert!(rim[2][15 * across..].iter().all(|ground| *ground == 1.0));
+    }
+
+    #[test]
+    fn coarse_cells_are_means_of_the_cells_of_the_map() {
+        let goal = Vec2::new(0.1, 0.0);
+        let channels = [map(&TABLE), coarse_map(&TABLE)];
+        let bound = Bound::new(&channels.each_ref().map(Channel::request), &channels).expect("they are there");
+        let (own, task) = (Observation::new(Motion::at_rest(goal), goal), Task { start: goal, goal });
+        let mut values = vec![f32::NAN; bound.floats()];
+        let team = team(&[goal]);
+        let known = Known { task: &task, team: &team, own: &own, sensed: &[] };
+        bound.write(&mut vec![0.0; bound.memory()], &known, &mut values);
+        let coarse = values.split_off(3 * 30 * 30);
+        assert_eq!(coarse.len(), 3 * 6 * 6);
+        for plane in 0..3 {
+            for cell in 0..36 {
+                let first = plane * 900 + cell / 6 * 5 * 30 + cell % 6 * 5;
+                let sum: f32 = (0..25).map(|at| values[first + at / 5 * 30 + at % 5]).sum();
+                let usual = if plane == 0 { TABLE.usual_importance() as f32 } else { 1.0 };
+                let difference = (coarse[plane * 36 + cell] - sum / 25.0 / usual).abs();
+                assert!(difference < 1e-4, "plane {plane}, cell {cell}: {difference}");
+            }
+        }
+        assert!(coarse[..36].iter().any(|importance| *importance > 0.3), "{coarse:?}");
     }
 }

@@ -16,6 +16,7 @@ pub mod cost;
 pub mod field;
 pub mod grid;
 pub mod policy;
+pub mod privileged;
 pub mod rest;
 pub mod run;
 pub mod scenario;

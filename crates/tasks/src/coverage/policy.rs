@@ -22,7 +22,7 @@ pub const COVERAGE_CVT: Entry = Entry {
 };
 
 /// Time between two steps: the longest that a policy may have. The benchmark has 200 ms.
-const PERIOD: Span = Span::from_millis(100);
+pub(super) const PERIOD: Span = Span::from_millis(100);
 
 fn model(scenario: &dyn Scenario) -> Result<Model, ModelError> {
     let size = size_of(scenario, Size::of(scenario.name()), "'coverage' and 'coverage-table'")?;
@@ -31,7 +31,8 @@ fn model(scenario: &dyn Scenario) -> Result<Model, ModelError> {
     Model::of_file(named, origin, None, move |_, _, _| Box::new(Cvt::new(size))).map_err(ModelError::Refused)
 }
 
-fn interface(size: &Size) -> Interface {
+/// Returns the interface of the policy in a scenario of this size.
+pub(super) fn interface(size: &Size) -> Interface {
     Interface {
         features: 0,
         radius_m: size.communication_m,
@@ -39,6 +40,12 @@ fn interface(size: &Size) -> Interface {
         limit_m_s: size.speed_m_s,
         hold: Span::from_millis(300),
     }
+}
+
+/// Returns the velocity \[m/s\] that brings a robot at `from` (world frame) to its goal (on the ground) in one period,
+/// if the speed allows it.
+pub(super) fn velocity(size: &Size, from: Vec2, goal: Point) -> Vec2 {
+    ((size.in_world(goal) - from) / PERIOD.as_secs() as f32).capped(size.speed_m_s)
 }
 
 /// One robot's instance of the policy.
@@ -96,9 +103,7 @@ impl Policy for Cvt {
         let at = self.size.on_ground(own.motion.position);
         self.look(at, own.values);
         let others: Vec<Point> = neighbours.iter().map(|other| self.size.on_ground(other.motion.position)).collect();
-        let way = self.size.in_world(self.goal(at, &others)) - own.motion.position;
-        // At the goal after one period, if the speed allows it.
-        (way / PERIOD.as_secs() as f32).capped(self.size.speed_m_s)
+        velocity(self.size, own.motion.position, self.goal(at, &others))
     }
 }
 

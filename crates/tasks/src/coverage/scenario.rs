@@ -2,7 +2,8 @@
 //!
 //! Robots have no goals. The goals of their tasks are the means of the Gaussians of the density instead, so that every
 //! part of a run knows the density of an episode from its tasks. A policy sees of it what a robot's sensor covers, the
-//! channel `density`, and what the robot has seen so far, the channel `map`.
+//! channel `density`, and what the robot has seen so far, the channels `map` and `coarse-map`. The whole density is the
+//! channel `means`, for baselines.
 
 use std::sync::Arc;
 
@@ -106,7 +107,9 @@ impl Scenario for Coverage {
     }
 
     fn channels(&self) -> Vec<Channel> {
-        vec![channels::density(self.size), channels::map(self.size)]
+        let Coverage { size, fitted, .. } = self;
+        let means = channels::means(fitted.robots);
+        vec![channels::density(size), channels::map(size), channels::coarse_map(size), means]
     }
 
     fn reward(&self, _: &Task, _: &Motion, contacts: Contacts, _: &mut Progress) -> Option<f32> {

@@ -31,6 +31,8 @@ pub struct Size {
     pub sensor_m: f64,
     /// Side \[m\] of the square around a robot that its local map covers.
     pub local_map_m: f64,
+    /// Number of cells along each axis that are one cell of the coarse map.
+    pub coarse_cells: usize,
     /// Distance \[m\] below which robots hear each other.
     pub communication_m: f32,
     /// Largest speed of a robot \[m/s\].
@@ -45,6 +47,7 @@ pub const PUBLISHED: Size = Size {
     deviation_m: [40.0, 60.0],
     sensor_m: 64.0,
     local_map_m: 256.0,
+    coarse_cells: 4,
     communication_m: 128.0,
     speed_m_s: 5.0,
 };
@@ -56,6 +59,7 @@ pub const TABLE: Size = Size {
     deviation_m: [0.15, 0.25],
     sensor_m: 0.5,
     local_map_m: 1.5,
+    coarse_cells: 5,
     communication_m: 1.0,
     speed_m_s: 0.15,
 };
@@ -76,6 +80,14 @@ impl Size {
     pub fn in_world(&self, at: Point) -> Vec2 {
         let half_m = self.grid.side_m() / 2.0;
         Vec2::new((at[0] - half_m) as f32, (at[1] - half_m) as f32)
+    }
+
+    /// Returns the importance of a cell in the middle of a Gaussian of middling deviation and weight.
+    pub fn usual_importance(&self) -> f64 {
+        let ([least, most], weight) = (self.deviation_m, Bounds::published().weight);
+        let (deviation_m, weight) = (0.5 * (least + most), 0.5 * (weight.start + weight.end));
+        let cell = self.grid.cell_m / deviation_m;
+        weight * cell * cell / (2.0 * std::f64::consts::PI)
     }
 
     /// Returns the Gaussians of an episode. Each has the goal of a task as its mean: `goals` \[m\], world frame. Its

@@ -8,13 +8,18 @@ use std::collections::VecDeque;
 
 use rand::RngExt;
 
+use super::sight::Sight;
+use super::units::{Units, scale};
 use crate::batch::Batch;
+use crate::channels::Channels;
 use crate::graphs::Graphs;
 use crate::network::{Network, Space};
 use murmurate::messages::geometry::{Motion, Planar, Task, Vec2};
+use murmurate::messages::ids::RobotId;
 use murmurate::messages::local::Contacts;
 use murmurate::observation::Observation;
 use murmurate::policy::flock::MAX_ACCELERATION_M_S2;
+use murmurate::policy::hops::action::Action;
 use murmurate::policy::hops::entry;
 use murmurate::policy::hops::hop::write_edge;
 use murmurate::policy::hops::manifest::Manifest;
@@ -33,6 +38,14 @@ pub struct Setting<'a> {
     pub scenario: &'a dyn Scenario,
     /// Policy whose actions are learnt.
     pub expert: &'a Model,
+    /// Channels that the expert takes; `None` if it takes none.
+    pub expert_channels: Option<&'a Channels>,
+    /// Channels that the trained policy takes; `None` if it takes none.
+    pub channels: Option<&'a Channels>,
+    /// Units of the network.
+    pub units: &'a Units,
+    /// Number of steps of 50 ms for which a decision is held.
+    pub repeat: usize,
     /// Metadata of the trained policy.
     pub manifest: &'a Manifest,
     /// Network of the trained policy.
@@ -50,6 +63,15 @@ pub enum Driver {
     Expert,
 }
 
+/// Whether the steps of an episode are recorded for learning.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Taught {
+    /// They are, with the actions of the expert.
+    Yes,
+    /// Only the finding counts.
+    No,
+}
+
 /// Conditions of messages in an episode.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Messages {
@@ -64,7 +86,8 @@ pub enum Messages {
 pub struct TaughtEpisode {
     /// Observations, messages and latents of the robots, one graph for each step; empty if they were not to be learnt.
     pub graphs: Graphs,
-    /// Acceleration \[m/s²\] of the expert for each robot in each step; empty if the steps were not to be learnt.
+    /// Action of the expert for each robot in each step, in the units of the network; empty if the steps were not to be
+    /// learnt.
     pub expert: Vec<[f32; 2]>,
     /// Verdict, cost and smallest distance of robots.
     pub finding: Judgement,
@@ -81,6 +104,11 @@ impl TaughtEpisode {
 struct TaughtTeam<'a> {
     setting: Setting<'a>,
     tasks: Vec<Task>,
+    /// The same tasks, as robots are told them.
+    told: Vec<Option<Task>>,
+    /// Time since the start of the episode.
+    after: Span,
+    sight: Sight,
     motion: Vec<Motion>,
     messages: Messages,
     /// For each receiver and sender, the number of steps since a message was received; `u8::MAX` for none.
@@ -92,24 +120,55 @@ struct TaughtTeam<'a> {
     space: Space<f32>,
 }
 
+/// The expert as the policy of each robot of a team.
+struct Experts {
+    robots: Vec<Box<dyn Policy>>,
+    sight: Sight,
+}
+
 /// Largest number of steps for which a message is used.
 pub fn most_age(manifest: &Manifest) -> u8 {
     (manifest.hold_s / PERIOD.as_secs() + 1e-6).floor().clamp(1.0, 100.0) as u8
 }
 
-impl TaughtTeam<'_> {
-    fn observation(&self, robot: usize) -> Observation<'static> {
-        self.setting.scenario.observe(&self.tasks[robot], &self.motion[robot])
+impl<'a> TaughtTeam<'a> {
+    /// Makes the team at its start.
+    fn new(setting: Setting<'a>, tasks: Vec<Task>, messages: Messages) -> TaughtTeam<'a> {
+        let Setting { scenario, network, channels, .. } = setting;
+        let robots = tasks.len();
+        let placed = |task: &Task| Motion { position: task.start, velocity: scenario.start_velocity(task) };
+        let graphs = Graphs::new(robots, network.inputs(), network.shape().edge);
+        TaughtTeam {
+            setting,
+            motion: tasks.iter().map(placed).collect(),
+            told: tasks.iter().copied().map(Some).collect(),
+            tasks,
+            after: Span::ZERO,
+            sight: Sight::new(channels, robots),
+            messages,
+            silence: vec![u8::MAX; robots * robots],
+            sent: VecDeque::new(),
+            graphs: graphs.recurrent(1, network.hop_inputs(), network.shape().memory.is_some(), 0),
+            batch: Batch::default(),
+            space: Space::default(),
+        }
+    }
+
+    /// Returns the observation of a robot without values of channels.
+    fn own(&self, robot: usize) -> Observation<'static> {
+        let own = self.setting.scenario.observe(&self.tasks[robot], &self.motion[robot]);
+        Observation { elapsed: self.after, ..own }
     }
 
     /// Records the graph of this step: the robots' observations, and the messages that they receive.
     fn observe(&mut self, stream: &mut Stream) {
-        let Setting { manifest, .. } = self.setting;
+        let Setting { manifest, units, .. } = self.setting;
         let (robots, most) = (self.motion.len(), most_age(manifest));
         for robot in 0..robots {
-            let seen = self.observation(robot);
+            let own = self.own(robot);
             let (_, to) = self.graphs.source();
-            entry::write(&manifest.observation, &seen, to);
+            entry::write(&manifest.observation, &self.sight.see(own, robot, &self.told), to);
+            scale(to, &units.observation);
             self.graphs.begins(self.sent.len() == 1);
         }
         for receiver in 0..robots {
@@ -129,13 +188,14 @@ impl TaughtTeam<'_> {
                 if (sent.position - own.position).norm_squared() <= manifest.radius_m * manifest.radius_m {
                     let to = self.graphs.edge_of_age(receiver, sender as u16, age);
                     write_features(manifest, &own, (sent, age), to);
+                    scale(to, &units.edge);
                 }
             }
         }
         self.graphs.end();
     }
 
-    /// Computes the policy's accelerations \[m/s²\] in this step, and records the robots' latents.
+    /// Computes the policy's actions in this step, in the units of the network, and records the robots' latents.
     fn act(&mut self) -> Vec<[f32; 2]> {
         let Setting { network, parameters, .. } = self.setting;
         let TaughtTeam { graphs, batch, space, .. } = self;
@@ -146,19 +206,21 @@ impl TaughtTeam<'_> {
         space.outputs().chunks_exact(network.outputs()).map(|output| [output[0], output[1]]).collect()
     }
 
-    /// Returns the expert's accelerations \[m/s²\]: robots step together, and messages of this step are received within
-    /// the expert's radius.
-    fn ask(&self, expert: &mut dyn Policy, stream: &mut Stream) -> Vec<[f32; 2]> {
+    /// Returns the expert's actions in the units of the network: robots step together, and messages of this step are
+    /// received within the expert's radius.
+    fn ask(&self, experts: &mut Experts, stream: &mut Stream) -> Vec<[f32; 2]> {
+        let Setting { expert, manifest, units, .. } = self.setting;
         let (interface, robots) = (expert.interface(), self.motion.len());
-        let latents: Vec<Vec<f32>> = (0..robots)
-            .map(|robot| {
-                let mut features = vec![0.0; interface.features];
-                expert.encode(&self.observation(robot), &mut features);
-                features
-            })
-            .collect();
+        let (mut values, mut latents) = (Vec::with_capacity(robots), Vec::with_capacity(robots));
+        for (robot, expert) in experts.robots.iter_mut().enumerate() {
+            let seen = experts.sight.see(self.own(robot), robot, &self.told);
+            let mut features = vec![0.0; interface.features];
+            expert.encode(&seen, &mut features);
+            values.push(seen.values.to_vec());
+            latents.push(features);
+        }
         let radius = interface.radius_m;
-        let acceleration = |robot: usize| {
+        let action = |(robot, expert): (usize, &mut Box<dyn Policy>)| {
             let own = self.motion[robot];
             let near = |other: &usize| {
                 let square = (self.motion[*other].position - own.position).norm_squared();
@@ -167,16 +229,29 @@ impl TaughtTeam<'_> {
             let neighbour =
                 |other: usize| Neighbour { motion: self.motion[other], features: &latents[other], age: Span::ZERO };
             let neighbours: Vec<Neighbour> = (0..robots).filter(near).map(neighbour).collect();
-            let velocity = expert.act(&self.observation(robot), &latents[robot], &neighbours, stream);
-            ((velocity - own.velocity) / PERIOD.as_secs() as f32).to_array().map(limited)
+            let seen = Observation { values: &values[robot], ..self.own(robot) };
+            let velocity = expert.act(&seen, &latents[robot], &neighbours, stream);
+            let action = match manifest.action {
+                Action::Velocity => velocity,
+                Action::Acceleration => (velocity - own.velocity) / PERIOD.as_secs() as f32,
+            };
+            action.to_array().map(|axis| limited(axis, largest(manifest)) / units.action)
         };
-        (0..robots).map(acceleration).collect()
+        experts.robots.iter_mut().enumerate().map(action).collect()
     }
 }
 
-/// Limits an acceleration along one axis \[m/s²\].
-pub fn limited(axis: f32) -> f32 {
-    axis.clamp(-MAX_ACCELERATION_M_S2, MAX_ACCELERATION_M_S2)
+/// Returns the largest component of an action along an axis: a velocity \[m/s\] or an acceleration \[m/s²\].
+pub fn largest(manifest: &Manifest) -> f32 {
+    match manifest.action {
+        Action::Velocity => manifest.limit_m_s,
+        Action::Acceleration => MAX_ACCELERATION_M_S2,
+    }
+}
+
+/// Limits a component of an action to what is `largest`.
+pub fn limited(axis: f32, largest: f32) -> f32 {
+    axis.clamp(-largest, largest)
 }
 
 /// Writes the features of the edge to a robot with the state `own` from one that had the state `sent` when it sent its
@@ -186,66 +261,74 @@ pub fn write_features(manifest: &Manifest, own: &Motion, (sent, steps): (&Motion
     write_edge(&manifest.edge, own, (sent, age_s), row);
 }
 
-/// Runs the episode with this layout, seed and episode number. With `expert` given, the steps are recorded with its
-/// actions.
+/// Runs the episode with this layout, seed and episode number. If it is to be `taught`, the steps are recorded with the
+/// actions of the expert, which may drive then.
 pub fn run(
     setting: Setting,
     layout: (u64, u32),
     (driver, messages): (Driver, Messages),
-    mut expert: Option<Box<dyn Policy>>,
+    taught: Taught,
     stream: &mut Stream,
 ) -> TaughtEpisode {
     let scenario = setting.scenario;
     let tasks = scenario.tasks(layout.0, layout.1);
-    let robots = tasks.len();
-    let placed = |task: &Task| Motion { position: task.start, velocity: scenario.start_velocity(task) };
-    let motion: Vec<Motion> = tasks.iter().map(placed).collect();
     let goals = tasks.iter().map(|task| task.goal).collect();
     let mut judge = Judge::new(scenario.rules(), goals).with_cost(scenario.cost());
     let drawn = scenario.drawn_arena(layout.0, layout.1);
-    if let (Some(arena), Some(expert)) = (&drawn, &mut expert) {
-        expert.enter(arena);
-    }
     let arena = drawn.as_ref().unwrap_or(scenario.arena());
+    let mut experts = (taught == Taught::Yes).then(|| Experts::new(setting, drawn.as_ref(), tasks.len()));
     let physics = Physics::published(arena);
-    let mut world = World::new(&motion);
+    let mut team = TaughtTeam::new(setting, tasks, messages);
+    let mut world = World::new(&team.motion);
     let most = usize::from(most_age(setting.manifest));
-    let Setting { network, .. } = setting;
-    let graphs = Graphs::new(robots, network.inputs(), network.shape().edge);
-    let mut team = TaughtTeam {
-        setting,
-        tasks,
-        motion,
-        messages,
-        silence: vec![u8::MAX; robots * robots],
-        sent: VecDeque::new(),
-        graphs: graphs.recurrent(1, network.hop_inputs(), network.shape().memory.is_some(), 0),
-        batch: Batch::default(),
-        space: Space::default(),
-    };
-    let (mut taught_all, mut after) = (Vec::new(), Span::ZERO);
+    let mut taught_all = Vec::new();
     loop {
         team.sent.truncate(most);
         team.sent.push_front(team.motion.clone());
         team.observe(stream);
         let own = team.act();
-        let taught = expert.as_mut().map(|expert| team.ask(&mut **expert, stream));
-        let accelerations = match (driver, &taught) {
+        let taught = experts.as_mut().map(|experts| team.ask(experts, stream));
+        let actions = match (driver, &taught) {
             (Driver::Expert, Some(taught)) => taught,
             _ => &own,
         };
-        let limit = setting.manifest.limit_m_s;
-        let command = |(motion, acceleration): (&Motion, &[f32; 2])| {
-            let change = Vec2::from(acceleration.map(limited)) * PERIOD.as_secs() as f32;
-            (motion.velocity + change).map(|axis| axis.clamp(-limit, limit))
-        };
-        let commands: Vec<Vec2> = team.motion.iter().zip(accelerations).map(command).collect();
+        for _ in 0..setting.repeat {
+            let commands: Vec<Vec2> =
+                team.motion.iter().zip(actions).map(|(motion, action)| setting.command(motion, *action)).collect();
+            world.step(arena, &physics, &commands, &mut team.motion);
+            team.after = team.after + PERIOD;
+        }
         taught_all.extend(taught.into_iter().flatten());
-        world.step(arena, &physics, &commands, &mut team.motion);
-        after = after + PERIOD;
-        if let Some(finding) = judge.update(after, &world.judged(&team.motion)) {
+        if let Some(finding) = judge.update(team.after, &world.judged(&team.motion)) {
             return TaughtEpisode { graphs: team.graphs, expert: taught_all, finding };
         }
+    }
+}
+
+impl Setting<'_> {
+    /// Returns the velocity to command \[m/s\] for a robot that moves with `motion`, for an `action` in the units of
+    /// the network.
+    fn command(&self, motion: &Motion, action: [f32; 2]) -> Vec2 {
+        let Manifest { limit_m_s, action: quantity, .. } = *self.manifest;
+        let action = Vec2::from(action.map(|axis| limited(axis * self.units.action, largest(self.manifest))));
+        let velocity = match quantity {
+            Action::Velocity => action,
+            Action::Acceleration => motion.velocity + action * PERIOD.as_secs() as f32,
+        };
+        velocity.map(|axis| axis.clamp(-limit_m_s, limit_m_s))
+    }
+}
+
+impl Experts {
+    /// Makes the expert of each of `robots` robots. `drawn` is the arena of the episode, if it is not the scenario's.
+    fn new(setting: Setting, drawn: Option<&Arena>, robots: usize) -> Experts {
+        let Setting { scenario, expert, expert_channels, .. } = setting;
+        let instance = |robot: RobotId| {
+            let mut instance = expert.instance(scenario.arena(), robot);
+            drawn.into_iter().for_each(|arena| instance.enter(arena));
+            instance
+        };
+        Experts { robots: RobotId::team(robots).map(instance).collect(), sight: Sight::new(expert_channels, robots) }
     }
 }
 
@@ -292,12 +375,12 @@ impl World {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::imitation::config::Config;
+    use crate::imitation::config::{Config, PRESET};
     use murmurate::policy::hops::manifest::EdgeFeature;
 
     #[test]
     fn an_edge_has_the_age_of_its_message() {
-        let mut manifest = Config::preset().manifest("flocking");
+        let mut manifest = Config::preset(PRESET).expect("it is a preset").manifest("flocking");
         manifest.edge = vec![EdgeFeature::Age, EdgeFeature::Distance];
         let (own, sent) = (Motion::default(), Motion::at_rest(Vec2::new(3.0, 4.0)));
         let mut row = [f32::NAN; 2];

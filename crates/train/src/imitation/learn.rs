@@ -1,7 +1,7 @@
 //! Gradient of the difference between a policy's actions and the expert's, over recorded steps.
 
 use super::config::Imitation;
-use super::episode::{Setting, TaughtEpisode, limited};
+use super::episode::{Setting, TaughtEpisode, largest, limited};
 use crate::batch::Batch;
 use crate::graphs::Window;
 use crate::network::Space;
@@ -49,7 +49,8 @@ impl Lesson {
 impl Shard {
     /// Computes the gradient of the loss of some lessons.
     pub fn learn(&mut self, setting: &Setting, imitation: &Imitation, episodes: &[TaughtEpisode], lessons: &[Lesson]) {
-        let Setting { network, parameters, .. } = *setting;
+        let Setting { network, parameters, manifest, units, .. } = *setting;
+        let largest = largest(manifest) / units.action;
         let Shard { batch, space, d_outputs, gradient, loss, learnt } = self;
         gradient.clear();
         gradient.resize(parameters.len(), 0.0);
@@ -67,7 +68,7 @@ impl Shard {
         for ((output, d), expert) in rows.zip(experts) {
             *learnt += 1;
             for axis in 0..2 {
-                let (error, slope) = difference(output[axis], expert[axis]);
+                let (error, slope) = difference(output[axis], expert[axis], largest);
                 *loss += error * error;
                 d[axis] = 2.0 * slope;
             }
@@ -76,11 +77,13 @@ impl Shard {
     }
 }
 
-/// Returns the difference of an action's component, once it is limited, from the expert's, and half of the derivative
-/// of its square. Beyond the limit there is a derivative only toward the expert's action: farther out nothing changes.
-fn difference(output: f32, expert: f32) -> (f32, f32) {
-    let error = limited(output) - expert;
-    let outward = (limited(output) != output) && (output > 0.0) != (error > 0.0);
+/// Returns the difference of an action's component, once it is limited to what is `largest`, from the expert's, and
+/// half of the derivative of its square. Beyond the limit there is a derivative only toward the expert's action:
+/// farther out nothing changes.
+fn difference(output: f32, expert: f32, largest: f32) -> (f32, f32) {
+    let action = limited(output, largest);
+    let error = action - expert;
+    let outward = (action != output) && (output > 0.0) != (error > 0.0);
     (error, if outward { 0.0 } else { error })
 }
 
@@ -90,9 +93,9 @@ mod tests {
 
     #[test]
     fn beyond_the_limit_only_the_way_back_counts() {
-        assert_eq!(difference(0.5, 0.2), (0.3, 0.3));
-        assert_eq!(difference(3.0, 1.0), (0.0, 0.0));
-        assert_eq!(difference(3.0, 0.4), (0.6, 0.6), "it comes back");
-        assert_eq!(difference(-2.0, -1.0), (0.0, 0.0));
+        assert_eq!(difference(0.5, 0.2, 1.0), (0.3, 0.3));
+        assert_eq!(difference(3.0, 1.0, 1.0), (0.0, 0.0));
+        assert_eq!(difference(3.0, 0.4, 1.0), (0.6, 0.6), "it comes back");
+        assert_eq!(difference(-2.0, -1.0, 1.0), (0.0, 0.0));
     }
 }

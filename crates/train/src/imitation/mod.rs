@@ -10,4 +10,7 @@
 pub mod config;
 pub mod episode;
 pub mod learn;
+pub mod setup;
+pub mod sight;
 pub mod trainer;
+pub mod units;

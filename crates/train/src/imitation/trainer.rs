@@ -8,9 +8,13 @@ use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 
 use super::config::Config;
-use super::episode::{self, Driver, Messages, Setting, TaughtEpisode};
+use super::episode::{self, Driver, Messages, Setting, Taught, TaughtEpisode};
 use super::learn::{Lesson, Shard};
+pub use super::setup::SetupError;
+use super::setup::channels;
+use super::units::Units;
 use crate::adam::Adam;
+use crate::channels::Channels;
 use crate::checkpoint::vector_instructions;
 use crate::learner::{Initial, Learner, SHARDS};
 use crate::network::{Network, Shape};
@@ -21,13 +25,14 @@ use murmurate::config::kinds::FileKind;
 use murmurate::messages::ids::RobotId;
 use murmurate::observation::PolicyFrame;
 use murmurate::policy::file::AnyManifest;
+use murmurate::policy::hops::entry;
 use murmurate::policy::hops::manifest::Manifest;
 use murmurate::policy::manifest::Training;
 use murmurate::policy::{Model, ModelError};
 use murmurate::random::{Seed, Stream};
 use murmurate::registry::Registry;
 use murmurate::scenario::judge::{Judgement, Verdict};
-use murmurate::scenario::{Scenario, ScenarioError, Settings};
+use murmurate::scenario::{Scenario, Settings};
 use murmurate_report::outcomes::CostOutcomes;
 use murmurate_report::statistics::mean_95;
 
@@ -56,7 +61,7 @@ pub struct Metrics {
     pub iteration: u64,
     /// Number of decisions so far: one per team and step.
     pub decisions: u64,
-    /// Mean squared difference of an action's component from the expert's \[m²/s⁴\].
+    /// Mean squared difference of an action's component from the expert's, in the units of the network.
     pub loss: f32,
     /// Mean cost of the episodes that the policy drove; NaN if the expert drove all.
     pub cost: f64,
@@ -66,44 +71,6 @@ pub struct Metrics {
     pub gradient: f32,
     /// Learning rate.
     pub learning_rate: f32,
-}
-
-/// Error of a training by imitation that cannot be set up or resumed.
-#[derive(Debug, thiserror::Error)]
-pub enum SetupError {
-    /// The scenario cannot be built.
-    #[error(transparent)]
-    Scenario(#[from] ScenarioError),
-    /// The scenario is not one in which training by imitation is supported; the text says why.
-    #[error("the scenario '{scenario}': {why}")]
-    Unsupported {
-        /// Name of the scenario.
-        scenario: String,
-        /// Reason.
-        why: &'static str,
-    },
-    /// The expert cannot be made.
-    #[error("expert: '{name}': {why}")]
-    Expert {
-        /// Name of the expert in the configuration.
-        name: String,
-        /// Reason.
-        why: String,
-    },
-    /// The bytes are not a checkpoint of this training by imitation.
-    #[error("not a complete checkpoint of this version of the program: {0}")]
-    Format(String),
-    /// The file is of another kind than a checkpoint; the text says of which, and what to give instead.
-    #[error("it is {0}")]
-    Foreign(&'static str),
-    /// The checkpoint is of a processor with other vector instructions, so results would be those of neither.
-    #[error("it is of another processor: its vector instructions are {theirs} there and {ours} here")]
-    Processor {
-        /// Instructions in the checkpoint.
-        theirs: String,
-        /// Instructions of this processor.
-        ours: String,
-    },
 }
 
 /// Costs of a policy under one set of conditions.
@@ -125,6 +92,9 @@ pub struct Trainer {
     plan: Plan,
     scenario: Arc<dyn Scenario>,
     expert: Model,
+    expert_channels: Option<Channels>,
+    channels: Option<Channels>,
+    units: Units,
     manifest: Manifest,
     learner: Learner,
     iteration: u64,
@@ -169,9 +139,25 @@ impl Trainer {
         let manifest = plan.config.manifest(&plan.scenario);
         let shape = Shape::of_manifest(&AnyManifest::Format2(manifest.clone()));
         let shape = shape.expect("a checked configuration has a supported network");
+        let of_policy =
+            channels(&entry::requests(&manifest.observation), &scenario).map_err(SetupError::Observation)?;
+        let expert_channels = channels(expert.requests(), &scenario).map_err(wrong)?;
+        let units = Units::new(&manifest, &plan.config.imitation);
         let mut stream = Seed::of_run(plan.seed).stream("train/imitation/initial");
         let learner = Learner::new(Network::new(shape), Initial::Uniform, &mut stream);
-        Ok(Trainer { plan, scenario, expert, manifest, learner, iteration: 0, decisions: 0 })
+        let (iteration, decisions) = (0, 0);
+        Ok(Trainer {
+            plan,
+            scenario,
+            expert,
+            expert_channels,
+            channels: of_policy,
+            units,
+            manifest,
+            learner,
+            iteration,
+            decisions,
+        })
     }
 
     fn stream(&self, name: &str) -> Stream {
@@ -179,9 +165,19 @@ impl Trainer {
     }
 
     fn setting(&self) -> Setting<'_> {
-        let Trainer { scenario, expert, manifest, learner, .. } = self;
+        let Trainer { scenario, expert, units, manifest, learner, .. } = self;
         let Learner { network, parameters, .. } = learner;
-        Setting { scenario: &**scenario, expert, manifest, network, parameters }
+        Setting {
+            scenario: &**scenario,
+            expert,
+            expert_channels: self.expert_channels.as_ref(),
+            channels: self.channels.as_ref(),
+            units,
+            repeat: self.plan.config.imitation.repeat,
+            manifest,
+            network,
+            parameters,
+        }
     }
 
     /// Performs one iteration. `progress` is the completed fraction of the training, 0 to 1, on which learning rate and
@@ -252,8 +248,8 @@ impl Trainer {
             let messages = if together { Messages::Lockstep } else { Messages::Late(loss) };
             let drives = stream.random_range(0.0..1.0) < expert_share;
             let driver = if drives { Driver::Expert } else { Driver::Policy };
-            let expert = Some(self.expert.instance(self.scenario.arena(), RobotId(0)));
-            *recorded = Some((episode::run(self.setting(), layout, (driver, messages), expert, &mut stream), driver));
+            let episode = episode::run(self.setting(), layout, (driver, messages), Taught::Yes, &mut stream);
+            *recorded = Some((episode, driver));
         });
         recorded.into_iter().flatten().unzip()
     }
@@ -273,10 +269,9 @@ impl Trainer {
                 let mut found: Vec<Option<Judgement>> = vec![None; episodes as usize];
                 in_parallel(threads, found.iter_mut().enumerate(), |(index, found)| {
                     let mut stream = Seed::of_run(EVALUATION_SEED).stream(&format!("train/imitation/evaluate/{index}"));
-                    let expert =
-                        (driver == Driver::Expert).then(|| self.expert.instance(self.scenario.arena(), RobotId(0)));
+                    let taught = if driver == Driver::Expert { Taught::Yes } else { Taught::No };
                     let layout = (EVALUATION_SEED, index as u32);
-                    let episode = episode::run(self.setting(), layout, (driver, messages), expert, &mut stream);
+                    let episode = episode::run(self.setting(), layout, (driver, messages), taught, &mut stream);
                     *found = Some(episode.finding);
                 });
                 let findings = || found.iter().flatten();
@@ -319,7 +314,9 @@ impl Trainer {
             configuration: serde_json::to_value(&self.plan.config).expect("a configuration is JSON"),
         };
         let manifest = AnyManifest::Format2(self.manifest.clone());
-        policy::file(manifest, training, self.learner.network.tensors(&self.learner.parameters))
+        let network = &self.learner.network;
+        let tensors = self.units.in_metres(network.shape(), network.tensors(&self.learner.parameters));
+        policy::file(manifest, training, tensors)
     }
 
     /// Returns the complete state as bytes, from which [`Trainer::resume`] continues with identical results.
