@@ -436,6 +436,7 @@ impl Record {
             hull_m: 0.2,
             range_m: None,
             drawn: Vec::new(),
+            waypoints: Vec::new(),
             senses: Vec::new(),
         };
         let beginning = Beginning { identity: Identity::here("1f", Vec::new(), ""), attached: Vec::new() };

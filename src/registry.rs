@@ -309,7 +309,16 @@ impl Registry {
         if self.scenarios.iter().any(|entry| entry.name == file.name()) {
             return Err(wrong(format!("name: '{}' is a scenario of this program", file.name())));
         }
+        self.check_senses(&file).map_err(|error| wrong(error.to_string()))?;
         Ok(file)
+    }
+
+    /// Checks that the registry has the kinds of a task file's senses, with their settings. An error names the field.
+    pub fn check_senses(&self, file: &TaskFile) -> Result<(), ConfigError> {
+        file.senses().iter().try_for_each(|(name, settings)| {
+            let made = self.sense(name, &senses::Settings::of_task(settings.clone()), RobotId(0));
+            made.map(drop).map_err(|error| error.within("senses"))
+        })
     }
 
     /// Makes the scenario (task of a team) called `name`, for the team size and other values in `settings`. A name that

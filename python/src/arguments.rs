@@ -6,7 +6,8 @@ use std::sync::Arc;
 use murmurate::deploy::senses_of;
 use murmurate::policy::hops::entry::Entry;
 use murmurate::policy::manifest::Field;
-use murmurate::scenario::{Scenario, ScenarioError, Settings};
+use murmurate::scenario::{Scenario, ScenarioError, Settings, TaskFile};
+use murmurate::senses;
 use murmurate_train::config::{Conditions, Config, CurriculumStage, Reward};
 use murmurate_train::imitation::config::{Config as Imitation, PRESET};
 use murmurate_train::vector::{Autoreset, Content, Lidar, Options};
@@ -142,6 +143,7 @@ impl Arguments<'_, '_> {
             warn_of_curriculum(py, &file, &config, scenario.robots())?;
         }
         let episode_s = self.episode_s.map(|episode_s| number("episode_s", episode_s, 0.05, 3600.0)).transpose()?;
+        let lidar = self.lidar(scenario.task_file())?;
         let options = Options {
             conditions: self.conditions(config.conditions.clone(), &*scenario)?,
             scenario,
@@ -162,7 +164,7 @@ impl Arguments<'_, '_> {
             hold_s: config.policy.hold_s,
             content,
             autoreset,
-            lidar: self.lidar()?,
+            lidar,
             seed,
         };
         options.check().map_err(|error| PyValueError::new_err(error.to_string()))?;
@@ -204,9 +206,15 @@ impl Arguments<'_, '_> {
         }
     }
 
-    /// Returns the lidar in a file of senses, as `sim --senses` takes it.
-    fn lidar(&self) -> PyResult<Option<Lidar>> {
-        let Some(given) = self.senses else { return Ok(None) };
+    /// Returns the lidar in a file of senses, as `sim --senses` takes it, or else that of a task file with one lidar.
+    fn lidar(&self, task: Option<&TaskFile>) -> PyResult<Option<Lidar>> {
+        let Some(given) = self.senses else {
+            let of_task = task.into_iter().flat_map(TaskFile::senses);
+            let named = of_task.map(|(name, settings)| (name.clone(), senses::Settings::of_task(settings.clone())));
+            let mut lidars = named.filter(|(_, settings)| settings.kind == "lidar");
+            let (first, second) = (lidars.next(), lidars.next());
+            return Ok(first.filter(|_| second.is_none()).map(|(name, settings)| Lidar { name, settings }));
+        };
         let file = text("senses", given)?;
         let content = std::fs::read_to_string(&file).map_err(|error| wrong("senses", format!("'{file}': {error}")))?;
         let senses = senses_of(&content).map_err(|error| wrong("senses", format!("'{file}': {error}")))?;

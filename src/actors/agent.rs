@@ -23,6 +23,7 @@ use crate::messages::local::{Action, NEAR_M, OtherRobot, Percept, Progress, Reme
 use crate::messages::round::RoundFollower;
 use crate::messages::wire::{Features, Latent, Mode, Phase, Round};
 use crate::observation::Observation;
+use crate::scenario::course::{Course, TURNING};
 use crate::scenario::layout::Layouts;
 use crate::scenario::{Scenario, goals};
 use crate::time::{Span, Time};
@@ -142,6 +143,9 @@ impl Agent {
             if let Some(arena) = self.layouts.arena(mode.round.episode) {
                 self.slots.iter_mut().for_each(|slot| slot.policies.enter(arena));
             }
+            for slot in &mut self.slots {
+                slot.course = self.layouts.course(mode.round.episode, slot.policies.robot);
+            }
         }
         let ran = self.phase == Phase::Running && mode.round == self.round;
         if mode.phase == Phase::Running && !ran {
@@ -231,7 +235,10 @@ impl Agent {
         let slot = &mut self.slots[at];
         slot.outcome = Outcome::Silent;
         let Some((percept, task)) = slot.percept.as_ref().zip(slot.task.as_ref()) else { return };
-        let task = bound_for(phase, task);
+        if phase == Phase::Running {
+            slot.course.pass(percept.estimate.position, TURNING * self.scenario.rules().arrival_m);
+        }
+        let task = bound_for(phase, task, &slot.course);
         let own = slot.policies.observe(&*self.scenario, &task, percept, now.since(self.episode_began));
         slot.own = own;
         slot.outcome = if slot.is_due(now, phase) { Outcome::Due } else { Outcome::Held };
@@ -269,7 +276,7 @@ impl Agent {
         let slot = &mut self.slots[at];
         let step = slot.step((round, phase), &self.features);
         let (percept, task) = (slot.percept.as_ref()?, slot.task.as_ref()?);
-        let task = bound_for(phase, task);
+        let task = bound_for(phase, task, &slot.course);
         let own = percept.estimate;
         let companions = self.near.iter().filter(|other| **other != at).filter_map(|&other| self.shared[other]);
         let neighbours = step.neighbours(percept, companions.clone(), &mut slot.policies.ranges);
@@ -293,7 +300,10 @@ impl Agent {
                 slot.held_since = holds.then(|| slot.held_since.unwrap_or(now));
                 slot.held_since.is_some_and(|since| now.since(since) >= HELD)
             }
-            Phase::Running => self.scenario.reached(&task, farther(own.position, task.goal, percept.deviation_m)),
+            Phase::Running => {
+                let point = farther(own.position, task.goal, percept.deviation_m);
+                slot.course.is_through() && self.scenario.reached(&task, point)
+            }
             _ => (task.goal - own.position).norm() <= START_M,
         };
         if acts {
@@ -342,10 +352,10 @@ fn farther(position: Vec2, goal: Vec2, deviation_m: f32) -> Vec2 {
     }
 }
 
-/// Returns the task that a robot follows in `phase`: `task` itself in a running episode, otherwise the drive to its
-/// start (the goal is the start).
-fn bound_for(phase: Phase, task: &Task) -> Task {
-    if phase == Phase::Running { *task } else { Task { start: task.start, goal: task.start } }
+/// Returns the task that a robot follows in `phase`: the present leg of its `course` with its `task` in a running
+/// episode, otherwise the drive to its start (the goal is the start).
+fn bound_for(phase: Phase, task: &Task, course: &Course) -> Task {
+    if phase == Phase::Running { course.leg(task) } else { Task { start: task.start, goal: task.start } }
 }
 
 /// Returns `velocity` with each component clamped to plus or minus the policy's `limit` \[m/s\]. A non-finite velocity

@@ -227,7 +227,7 @@ impl Recorder {
         if phase == Phase::Running && self.judge.is_none() && round.episode == self.open {
             let tasks = self.config.layouts.episode(round.episode);
             let episode = (self.config.repeat, round.episode);
-            self.judge = Some(EpisodeJudge::begun(&self.config.scenario, episode, tasks));
+            self.judge = Some(EpisodeJudge::begun(&self.config.scenario, episode, &self.config.layouts));
             let starts: Vec<Vec2> = tasks.iter().map(|task| task.start).collect();
             self.sightings.begin(now, Some(&starts[..]).filter(|_| self.config.placed));
             self.reset = if self.phase == Phase::Resetting { now.since(self.since) } else { Span::ZERO };

@@ -7,7 +7,8 @@ use crate::config::{self, ConfigError};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Kind;
 use crate::registry::Registry;
-use crate::senses::MAX_SENSES;
+use crate::scenario::TaskFile;
+use crate::senses::{MAX_SENSES, Settings};
 
 /// Longest name of a sense or a role \[characters\].
 const MAX_NAME: usize = 40;
@@ -69,6 +70,16 @@ impl Deployment {
         let deployment = self.with_senses(senses);
         deployment.check()?;
         Ok(deployment)
+    }
+
+    /// Returns the deployment with the senses of a task file, if there is one, besides its own. Under a name that the
+    /// deployment has, it keeps its own.
+    pub fn for_task(mut self, file: Option<&TaskFile>) -> Deployment {
+        let Some(file) = file.filter(|file| !file.senses().is_empty()) else { return self };
+        for (name, settings) in file.senses() {
+            self.senses.entry(name.clone()).or_insert_with(|| Settings::of_task(settings.clone()));
+        }
+        self.carrying_senses()
     }
 
     /// Checks number and names of the senses. An error names the field.

@@ -120,6 +120,7 @@ fn tasks(scenario: &dyn Scenario) -> Result<(), String> {
         require(drawn == scenario.drawn_arena(seed, episode), || format!("other obstacles the second time, {at}"))?;
         let arena = drawn.as_ref().unwrap_or(scenario.arena());
         entered(scenario, (&tasks, arena)).map_err(|broken| format!("{broken}, {at}"))?;
+        courses(scenario, arena, (seed, episode)).map_err(|broken| format!("{broken}, {at}"))?;
         let places: Vec<Vec2> = match scenario.cost() {
             None => tasks.iter().map(|task| task.goal).collect(),
             Some(_) => tasks.iter().map(|task| task.start).collect(),
@@ -142,6 +143,17 @@ fn tasks(scenario: &dyn Scenario) -> Result<(), String> {
     // Where robots exchange few places, two seeds may give the same.
     let differs = (1..10).any(|seed| scenario.tasks(seed, 0) != scenario.tasks(0, 0));
     require(differs, || "all seeds give equal tasks")
+}
+
+/// Checks that every robot has equally many waypoints, at which it has room.
+fn courses(scenario: &dyn Scenario, arena: &Arena, (seed, episode): (u64, u32)) -> Result<(), String> {
+    let waypoints = scenario.waypoints(seed, episode);
+    require(waypoints == scenario.waypoints(seed, episode), || "other waypoints the second time")?;
+    let Some(first) = waypoints.first() else { return Ok(()) };
+    let (robots, of_each) = (scenario.robots(), waypoints.iter().all(|course| course.len() == first.len()));
+    require(waypoints.len() == robots && of_each, || "robots have not equally many waypoints")?;
+    let outside = waypoints.iter().flatten().find(|place| !arena.admits(**place));
+    require(outside.is_none(), || format!("no robot has room at the waypoint {:?}", outside.map(Planar::shown)))
 }
 
 /// Checks that a robot with obstacles that are drawn for the episode can start, and is on the ground of all episodes.

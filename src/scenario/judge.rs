@@ -3,8 +3,9 @@
 //! An episode succeeds if every robot arrives in time, no two robots come nearer than the rules allow, and no robot
 //! touches a wall. Where goals are unlabelled, robots arrive all at once: when every goal has a robot. Distances
 //! between robots are those of their centres. A robot has arrived once the point that its policy commands has been at
-//! the goal. Judging ends with the last arrival or at the time limit; later states do not count. The code does no I/O,
-//! and the Recorder (an actor) and the trainer both use it.
+//! the goal; where there are waypoints, once it has been at each of them before, in their order. Judging ends with the
+//! last arrival or at the time limit; later states do not count. The code does no I/O, and the Recorder (an actor) and
+//! the trainer both use it.
 //!
 //! In a scenario without goals no robot arrives: judging ends at the time limit, and the result is the mean cost of all
 //! steps, with collisions.
@@ -16,6 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Rules;
 use super::cost::{Cost, MeanCost};
+use super::course::Course;
 use super::goals::{self, Goals};
 use crate::cells::{self, Cells};
 use crate::messages::geometry::{Motion, Vec2};
@@ -101,6 +103,8 @@ pub struct Judge {
     labels: Goals,
     /// Last point of each robot \[m\], where goals are unlabelled; not a number before the first.
     points: Vec<Vec2>,
+    /// Waypoints of each robot, where goals are labelled.
+    courses: Vec<Course>,
     arrived: Vec<bool>,
     failure: Option<Verdict>,
     min_separation_m: f32,
@@ -114,12 +118,22 @@ impl Judge {
     pub fn new(rules: Rules, goals: Vec<Vec2>) -> Judge {
         let (arrived, points) = (vec![false; goals.len()], vec![Vec2::repeat(f32::NAN); goals.len()]);
         let (labels, min_separation_m) = (Goals::Labelled, f32::INFINITY);
-        Judge { rules, goals, labels, points, arrived, failure: None, min_separation_m, cost: None }
+        let courses = vec![Course::default(); goals.len()];
+        Judge { rules, goals, labels, points, courses, arrived, failure: None, min_separation_m, cost: None }
     }
 
     /// Returns the judge for goals that belong to whom `labels` says.
     pub fn with_goals(self, labels: Goals) -> Judge {
         Judge { labels, ..self }
+    }
+
+    /// Returns the judge for robots that have these courses before their goals, in the order of robot ids.
+    ///
+    /// # Panics
+    /// If there is not one course per goal.
+    pub fn with_courses(self, courses: Vec<Course>) -> Judge {
+        assert_eq!(courses.len(), self.goals.len(), "each robot has its course");
+        Judge { courses, ..self }
     }
 
     /// Returns the judge with this cost: with one the goals do not count, and the episode ends by time. `None` changes
@@ -180,7 +194,10 @@ impl Judge {
             let at = index(at);
             match self.labels {
                 Goals::Labelled => {
-                    self.arrived[at] |= (self.goals[at] - robot.point).norm() <= self.rules.arrival_m;
+                    let arrival_m = self.rules.arrival_m;
+                    self.courses[at].pass(robot.point, arrival_m);
+                    let is_through = self.courses[at].is_through();
+                    self.arrived[at] |= is_through && (self.goals[at] - robot.point).norm() <= arrival_m;
                 }
                 Goals::Unlabelled => self.points[at] = robot.point,
             }
@@ -241,6 +258,19 @@ mod tests {
 
     fn judge() -> Judge {
         Judge::new(RULES, vec![Vec2::new(0.0, 0.0), Vec2::new(5.0, 0.0)])
+    }
+
+    #[test]
+    fn a_robot_arrives_after_its_waypoints_alone() {
+        let at = |x| Vec2::new(x, 0.0);
+        let courses = vec![Course::new(vec![at(2.0), at(1.0)]), Course::default()];
+        let mut judge = judge().with_courses(courses);
+        let states = [0.0, 1.0, 2.0, 0.1, 1.1, 0.1].map(|x| [seen(x), seen(5.0)]);
+        for (step, state) in states.iter().enumerate() {
+            let judged = judge.update(Span::from_millis(50 * step as u64), state);
+            assert_eq!(judge.arrived(), [step == 5, true], "after step {step}");
+            assert_eq!(judged.map(|judged| judged.verdict), (step == 5).then_some(Verdict::Success));
+        }
     }
 
     #[test]

@@ -7,10 +7,12 @@ use std::sync::Arc;
 
 use serde::Deserialize;
 
+use super::course::Course;
 use super::{Arena, KeepOut, Scenario, Solid};
 use crate::config;
 use crate::config::shown::counted;
-use crate::messages::geometry::{Task, Vec2, is_finite};
+use crate::messages::geometry::{Planar, Task, Vec2, is_finite};
+use crate::messages::ids::RobotId;
 
 /// Largest distance \[m\] between a robot's start in an episode and its goal in the previous episode at which both
 /// count as equal.
@@ -23,6 +25,8 @@ pub struct Layouts {
     episodes: Arc<[Vec<Task>]>,
     /// Arena of each episode; empty if all have the arena of the scenario.
     arenas: Arc<[Arc<Arena>]>,
+    /// Waypoints of each robot in each episode; empty if there are none.
+    waypoints: Arc<[Vec<Vec<Vec2>>]>,
 }
 
 /// Error of a layout file (starts and goals of a trial's episodes) that cannot be used.
@@ -39,9 +43,14 @@ pub enum LayoutError {
         /// Number of episodes requested.
         wanted: usize,
     },
-    /// The scenario draws obstacles for each episode, which a file of starts and goals does not have.
-    #[error("the obstacles of '{0}' are drawn with the starts and goals: leave the file out")]
-    Drawn(String),
+    /// The scenario draws obstacles or waypoints for each episode, which a file of starts and goals does not have.
+    #[error("the {what} of '{scenario}' are drawn with the starts and goals: leave the file out")]
+    Drawn {
+        /// Name of the scenario.
+        scenario: String,
+        /// What it draws, as a word.
+        what: &'static str,
+    },
     /// An episode has a wrong number of robots, or a start or goal that no robot can have.
     #[error("episodes[{episode}]: {reason}")]
     Episode {
@@ -71,14 +80,20 @@ impl Layouts {
         Layouts {
             episodes: (0..episodes).map(|episode| scenario.tasks(seed, episode)).collect(),
             arenas: (0..episodes).map_while(|episode| scenario.drawn_arena(seed, episode)).map(Arc::new).collect(),
+            waypoints: (0..episodes)
+                .map(|episode| scenario.waypoints(seed, episode))
+                .take_while(|waypoints| !waypoints.is_empty())
+                .collect(),
         }
     }
 
     /// Reads the first `episodes` layouts of a JSON text and checks them against `scenario`: team size, free starts and
     /// goals. The text is `{"episodes": [[{"start": [x, y], "goal": [x, y]}, ...], ...]}` in metres, world frame.
     pub fn from_json(text: &str, scenario: &dyn Scenario, episodes: u32) -> Result<Layouts, LayoutError> {
-        if scenario.drawn_arena(0, 0).is_some() {
-            return Err(LayoutError::Drawn(scenario.name().to_owned()));
+        let has_waypoints = !scenario.waypoints(0, 0).is_empty();
+        let drawn = [(scenario.drawn_arena(0, 0).is_some(), "obstacles"), (has_waypoints, "waypoints")];
+        if let Some((_, what)) = drawn.into_iter().find(|(is_drawn, _)| *is_drawn) {
+            return Err(LayoutError::Drawn { scenario: scenario.name().to_owned(), what });
         }
         let file: File = serde_json::from_str(text).map_err(|e| LayoutError::Syntax(config::json(&e)))?;
         let wanted = episodes as usize;
@@ -92,7 +107,7 @@ impl Layouts {
             Ok(tasks)
         };
         let episodes: Result<_, LayoutError> = file.episodes.into_iter().take(wanted).enumerate().map(parse).collect();
-        Ok(Layouts { episodes: episodes?, arenas: Arc::default() })
+        Ok(Layouts { episodes: episodes?, ..Layouts::default() })
     }
 
     /// Returns the number of episodes in a JSON text; `None` if there are none or it is not such a text.
@@ -107,6 +122,7 @@ impl Layouts {
         Layouts {
             episodes: self.episodes.iter().skip(skipped).cloned().collect(),
             arenas: self.arenas.iter().skip(skipped).cloned().collect(),
+            waypoints: self.waypoints.iter().skip(skipped).cloned().collect(),
         }
     }
 
@@ -116,6 +132,7 @@ impl Layouts {
         Layouts {
             episodes: self.episodes.iter().take(taken).cloned().collect(),
             arenas: self.arenas.iter().take(taken).cloned().collect(),
+            waypoints: self.waypoints.iter().take(taken).cloned().collect(),
         }
     }
 
@@ -141,6 +158,19 @@ impl Layouts {
     /// `None` if all episodes have the arena of the scenario, or if there is no such episode.
     pub fn arena(&self, episode: u32) -> Option<&Arc<Arena>> {
         self.arenas.get(episode as usize)
+    }
+
+    /// Returns the waypoints \[m\], world frame, of each robot in each episode; empty if there are none.
+    pub fn waypoints(&self) -> Vec<Vec<Vec<[f32; 2]>>> {
+        let course = |waypoints: &Vec<Vec2>| waypoints.iter().map(Planar::to_array).collect();
+        self.waypoints.iter().map(|robots| robots.iter().map(course).collect()).collect()
+    }
+
+    /// Returns the course of a robot in the episode with index `episode` (from zero): straight to its goal if there are
+    /// no waypoints, or no such episode.
+    pub fn course(&self, episode: u32, robot: RobotId) -> Course {
+        let waypoints = self.waypoints.get(episode as usize).and_then(|robots| robots.get(robot.index()));
+        waypoints.cloned().map_or_else(Course::default, Course::new)
     }
 
     /// Returns the shapes of the solid blocks of each episode. Empty if all episodes have the arena of the scenario.

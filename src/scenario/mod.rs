@@ -8,6 +8,7 @@ pub mod arena;
 mod block;
 pub mod contract;
 pub(crate) mod cost;
+pub mod course;
 mod error;
 mod flocking;
 pub mod goals;
@@ -102,6 +103,16 @@ pub trait Scenario: Debug + Send + Sync {
     /// scenario has no goals (`cost`), or a task's behaviour draws its layouts (`TaskFile::draws_apart`).
     /// Robots are then placed at their starts where a world simulates them.
     fn tasks(&self, seed: u64, episode: u32) -> Vec<Task>;
+
+    /// Returns the waypoints of every robot \[m\], world frame, in the order of robot ids: the places that it passes in
+    /// this order before its goal, equally many for each. `seed` and `episode` are as in `tasks`. Empty, the default,
+    /// means that robots go straight to their goals.
+    ///
+    /// A robot with waypoints gets the tasks of its legs, one after the other: its own start, with the next waypoint as
+    /// the goal (`course::Course`). So what the methods here say of a goal is of the next waypoint, too.
+    fn waypoints(&self, _seed: u64, _episode: u32) -> Vec<Vec<Vec2>> {
+        Vec::new()
+    }
 
     /// Returns to whom the goals of the tasks belong. The default is that each robot has its own.
     ///

@@ -4,9 +4,11 @@
 use std::sync::Arc;
 
 use super::judge::{Judge, JudgedRobot, Judgement, Verdict};
+use super::layout::Layouts;
 use super::task_file::{Behaviour, EpisodeStep};
 use super::{Scenario, TaskFile};
 use crate::messages::geometry::{Task, Vec2};
+use crate::messages::ids::RobotId;
 use crate::time::Span;
 
 /// Judge of a running episode: by the rules of the scenario, and by the behaviour of its task, if that judges.
@@ -18,12 +20,19 @@ pub(crate) struct EpisodeJudge {
 }
 
 impl EpisodeJudge {
-    /// Begins the episode with the index `episode` of the trial with the index `repeat`, whose robots have these
-    /// `tasks`.
-    pub(crate) fn begun(scenario: &Arc<dyn Scenario>, (repeat, episode): (u32, u32), tasks: &[Task]) -> EpisodeJudge {
+    /// Begins the episode with the index `episode` of the trial with the index `repeat`, whose episodes have these
+    /// `layouts`.
+    pub(crate) fn begun(
+        scenario: &Arc<dyn Scenario>,
+        (repeat, episode): (u32, u32),
+        layouts: &Layouts,
+    ) -> EpisodeJudge {
+        let tasks = layouts.episode(episode);
         let rules = Judge::new(scenario.rules(), tasks.iter().map(|task| task.goal).collect());
         let watched = behaviour(&**scenario).filter(|behaviour| behaviour.judges());
         let watched = watched.map(|_| Watched::begun(scenario, (repeat, episode), tasks.to_vec()));
+        let courses = RobotId::team(tasks.len()).map(|robot| layouts.course(episode, robot));
+        let rules = rules.with_courses(courses.collect());
         EpisodeJudge { rules: rules.with_cost(scenario.cost()).with_goals(scenario.goals()), watched }
     }
 

@@ -44,6 +44,12 @@ pub struct Settings {
 }
 
 impl Settings {
+    /// Returns the settings of a sense in a task file, of which `kind` is one entry.
+    pub fn of_task(mut table: toml::Table) -> Settings {
+        let kind = table.remove("kind").and_then(|kind| kind.as_str().map(str::to_owned)).unwrap_or_default();
+        Settings { kind, table }
+    }
+
     /// Returns the table as settings of a part with the sense's `name`, by which errors name the field.
     pub(crate) fn named(&self, name: &str) -> edge::Settings {
         edge::Settings { name: name.to_owned(), table: self.table.clone() }

@@ -145,7 +145,8 @@ impl Trial {
     }
 
     /// Makes a trial of one episode with seed 0, with the plant looked up in `registry`. The deployment
-    /// must have passed `Deployment::check` and be made for the scenario's team size; another size panics.
+    /// must have passed `Deployment::check` and be made for the scenario's team size; another size panics. Senses of
+    /// the scenario's task file are added to those of the deployment.
     pub fn with_registry(
         registry: &Registry,
         deployment: Deployment,
@@ -157,7 +158,7 @@ impl Trial {
             layouts: Layouts::of_scenario(&*scenario, 0, 1),
             physics: physics(registry, &deployment.plant, &*scenario),
             registry: registry.clone(),
-            deployment,
+            deployment: deployment.for_task(scenario.task_file()),
             scenario,
             models: model.into(),
             seed: 0,

@@ -71,7 +71,8 @@ impl Trial {
                     return wrong(name, format!("{robot} has another form of it than {first}; take another name"));
                 }
                 if real && parts.worker.is_none() {
-                    return wrong(name, format!("'{kind}' is simulated, and {robot} is real; take 'program'"));
+                    let other = "give it another kind in the team file, such as 'program'";
+                    return wrong(name, format!("'{kind}' is simulated, and {robot} is real: {other}"));
                 }
             }
         }

@@ -41,6 +41,15 @@ fn a_task_is_checked_and_what_cannot_work_is_named() {
     for expected in ["cannot work: walls: no robot gets", "cannot work: goals: no way leads", "scripted_success: "] {
         assert!(said.contains(expected), "{said}");
     }
+    let output = run(&["task", "check", "examples/tasks/navigation-lidar.toml", "--layouts", "1", "--json"]);
+    assert_eq!(json(&output)["senses"], serde_json::json!(["eyes"]));
+    let nose = "\n[senses.nose]\nkind = \"nose\"\n";
+    let nose = file(&folder, "nose.toml", &format!("{TEXT}{nose}"));
+    refuses(&["sim", "--scenario", &nose], &["nose.toml", "senses.nose.kind: there is no kind of sense 'nose'"]);
+    let program =
+        format!("{TEXT}\n[senses.cam]\nkind = \"program\"\ncommand = [\"true\"]\nshape = [2]\nunit = \"1\"\n");
+    let program = file(&folder, "program.toml", &program);
+    refuses(&["sim", "--scenario", &program], &["senses.cam.kind: 'program' runs in real time"]);
     let late = ["task", "check", "examples/tasks/unlabelled-table.toml", "--mode", "onboard-adhoc", "--delay-ms", "20"];
     let output = run(&[&late[..], &["--loss", "0.16", "--layouts", "3", "--json"]].concat());
     let checked = json(&output);

@@ -33,3 +33,4 @@ mod task_files;
 mod transports;
 mod unlabelled;
 mod users;
+mod waypoints;

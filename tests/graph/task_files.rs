@@ -1,15 +1,27 @@
 //! Task files: the shipped example, the contract of scenarios for every kind of places, and files with mistakes.
 
+use std::path::Path;
+
 use murmurate::config::shown::Layout;
 use murmurate::config::shown::printable;
+use murmurate::deploy::Deployment;
+use murmurate::deploy::senses_of;
+use murmurate::deploy::team::TeamFile;
 use murmurate::messages::geometry::Planar;
+use murmurate::messages::wire::Kind;
+use murmurate::policy::Model;
+use murmurate::registry::Registry;
 use murmurate::scenario::{Settings, TaskFile, contract};
+use murmurate::trial::Trial;
 use toml::{Table, Value};
 
 const FOUR_ROOMS: &str = include_str!("../../examples/tasks/four-rooms.toml");
+const LIDAR: &str = include_str!("../../examples/tasks/navigation-lidar.toml");
 /// The other tasks of the library.
-const LIBRARY: [&str; 5] = [
+const LIBRARY: [&str; 7] = [
+    include_str!("../../examples/tasks/errands.toml"),
     include_str!("../../examples/tasks/navigation.toml"),
+    LIDAR,
     include_str!("../../examples/tasks/unlabelled.toml"),
     include_str!("../../examples/tasks/unlabelled-table.toml"),
     include_str!("../../examples/tasks/warehouse.toml"),
@@ -22,7 +34,8 @@ const SHAPES: &str = "name = \"shapes\"\nrobots = { default = 3, least = 2, most
     start = { rect = [-2.8, -1.8, 1, -1] }\ngoal = { polygon = [[-2.8, 1], [0.8, 1], [0.8, 2.3], [-2.8, 2.3]] }\n\
     rules = { arrival_m = 0.2, limit_s = 60.0 }\n\
     obstacles = [{ count = 2, radius_m = 0.1, within = [-3, -2, 3, 2], each_episode = true },\n\
-    { count = 2, polygon = [[0, 0], [0.2, 0], [0.1, 0.2]], within = [-3, -1, 3, 2] }]\n";
+    { count = 2, polygon = [[0, 0], [0.2, 0], [0.1, 0.2]], within = [-3, -1, 3, 2] }]\n\
+    senses.eyes = { kind = \"lidar\", rays = 8, range_m = 1.5 }\n";
 
 /// A task file with these lines for its walls and places.
 fn file(lines: &str) -> String {
@@ -92,6 +105,17 @@ fn what_cannot_be_is_refused_by_its_field() {
         (format!("{sides}\nplaces = [[0, 0]]"), "places: there is 'start' already"),
         (format!("{sides}\nunlabelled = true"), "unlabelled: unknown field"),
         (format!("{sides}\ngoals = \"free\""), "goals: unknown variant, expected `labelled` or `unlabelled`"),
+        (format!("{sides}\nsenses.eyes = {{ rays = 3 }}"), "senses.eyes.kind: it is missing"),
+        (
+            format!("{sides}\nwaypoints = [{{ points = [[0, 9]] }}]"),
+            "waypoints[0]: no robot fits there beside the goals",
+        ),
+        (format!("{sides}\nwaypoints = [{{ disc = [0, 0, 0] }}]"), "waypoints[0].disc[2]: 0 is not"),
+        (
+            format!("{sides}\nwaypoints = [{{ disc = [0, 0, 1] }}]\ngoals = \"unlabelled\""),
+            "waypoints: a robot passes them before its own goal",
+        ),
+        (format!("{sides}\nwaypoints = [{}]", "{ points = [[0, 0]] }, ".repeat(17)), "waypoints: there are 17"),
         ("places = [[0, 0]]\ngoals = \"unlabelled\"".to_owned(), "places: robots would stand at unlabelled goals"),
         (
             format!("{sides}\nreward = {{ coverage = 1.0 }}"),
@@ -143,6 +167,45 @@ fn what_cannot_be_is_refused_by_its_field() {
     for (lines, expected) in cases {
         let found = error(&file(&lines)).unwrap_or_else(|| panic!("not refused: {lines}"));
         assert!(found.contains(expected), "{lines}\n{found}");
+    }
+}
+
+#[test]
+fn robots_have_the_senses_of_the_task_unless_their_team_says_others() {
+    let task = TaskFile::read(LIDAR).expect("it is sound");
+    let scenario = task.scenario(&Settings::of(4)).expect("it is sound");
+    let preset = |mode| Deployment::preset(mode, 4).expect("a preset");
+    let trial = Trial::new(preset("onboard-adhoc"), scenario.clone(), Model::Orca);
+    trial.check().expect("it is sound");
+    let rays = |trial: &Trial| trial.sense_layouts().iter().map(|(_, layout)| layout.floats()).collect::<Vec<_>>();
+    assert_eq!(rays(&trial), [16]);
+    let carries = |link: &murmurate::deploy::Link| link.carries.contains(&Kind::Sensed);
+    assert!(trial.deployment.links.iter().any(carries), "what robots perceive crosses hosts");
+    assert_eq!(trial.deployment.clone().for_task(Some(&task)), trial.deployment, "they are added once");
+    let own = senses_of("[senses.eyes]\nkind = \"lidar\"\nrays = 5\nrange_m = 1.0").expect("they are senses");
+    let trial = Trial::new(preset("sim").with_senses(own), scenario, Model::Orca);
+    assert_eq!(rays(&trial), [5]);
+    let registry = Registry::builtin().with_task("mine.toml", task);
+    let team = |senses: &str| {
+        let text = format!("team = 1\nmode = \"offboard\"\nscenario = \"mine.toml\"\n{senses}");
+        let file =
+            TeamFile::read(&registry.clone().reading_tasks(|_| Ok(LIDAR.to_owned())), &text, Path::new(""), &[], &[]);
+        file.expect("it is sound").deployment().senses["eyes"].kind.clone()
+    };
+    assert_eq!(team(""), "lidar");
+    assert_eq!(team("[senses.eyes]\nkind = \"relative\"\nmost = 3\nrange_m = 1.0\n"), "relative");
+}
+
+#[test]
+fn senses_of_a_task_that_the_program_does_not_have_are_refused_by_their_names() {
+    for (from, to, expected) in [
+        ("\"lidar\"", "\"nose\"", "senses.eyes.kind: there is no kind of sense 'nose'"),
+        ("rays = 16", "rays = 0", "senses.eyes.rays: 0 is not"),
+        ("noise_m", "colour", "senses.eyes.colour: unknown field"),
+    ] {
+        let task = TaskFile::read(&LIDAR.replace(from, to)).expect("kinds are those of a registry");
+        let error = Registry::builtin().check_senses(&task).expect_err(expected).to_string();
+        assert!(error.starts_with(expected), "{error}");
     }
 }
 

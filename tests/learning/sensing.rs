@@ -190,8 +190,41 @@ fn a_policy_is_trained_with_a_lidar_and_drives_a_team_that_has_one() {
     let report = with.run();
     assert!(report.episodes.iter().all(|episode| episode.verdict != Verdict::Aborted));
     assert!(trial("").check().is_err_and(|why| why.to_string().contains("'eyes'")));
-    let mut blind = plan;
+    let mut blind = plan.clone();
     blind.config.senses.clear();
     let refused = Trainer::new(blind, &Registry::builtin()).expect_err("there is no lidar").to_string();
     assert!(refused.contains("policy.observation") && refused.contains("'eyes'"), "{refused}");
+}
+
+#[test]
+fn a_training_takes_the_senses_of_its_task_file_that_its_policy_names() {
+    let mut config = Config::preset("robust").expect("it is there");
+    (config.ppo.environments, config.ppo.decisions, config.ppo.minibatch) = (40, 4, 64);
+    (config.policy.encoder, config.policy.message, config.policy.update) = (vec![8, 8], vec![12, 12, 12], vec![12]);
+    config.policy.observation = serde_json::from_str(
+        r#"["goal-minus-position", "velocity",
+            {"name": "eyes", "shape": [16], "unit": "m", "frame": "policy", "stale_after_s": 0.12}]"#,
+    )
+    .expect("they are entries");
+    config.robots = Some(5);
+    let task = include_str!("../../examples/tasks/navigation-lidar.toml");
+    let begin = |text: &str, config: &Config| {
+        let registry = Registry::builtin().with_task_text("field.toml", text).expect("it is sound");
+        let config = config.clone();
+        let plan = Plan { scenario: "field.toml".to_owned(), preset: "small".to_owned(), config, seed: 3, task: None };
+        Trainer::new(plan, &registry)
+    };
+    let mut trainer = begin(task, &config).expect("it is sound");
+    assert_eq!(trainer.plan().config.senses["eyes"].table["range_m"].as_float(), Some(2.0));
+    trainer.iterate(0.0, 2).expect("it stays finite");
+    let written = &trainer.plan().config;
+    let mut said = begin(&task.replace("range_m = 2.0", "range_m = 1.0"), written).expect("it is sound");
+    assert_eq!(said.plan().config.senses, written.senses, "the configuration has the last word");
+    said.iterate(0.0, 2).expect("it stays finite");
+    assert!(said.policy_file() == trainer.policy_file(), "the lidar alone differs between the two files");
+    // A sense that the policy does not take may be of any kind.
+    let camera = "\n[senses.camera]\nkind = \"relative\"\nmost = 3\nrange_m = 1.0\n";
+    begin(&format!("{task}{camera}"), &config).expect("it is sound");
+    let late = begin(&task.replace("rays = 16", "rays = 16\nrate_hz = 5.0"), &config).expect_err("it has a rate");
+    assert!(late.to_string().contains("senses.eyes.rate_hz"), "{late}");
 }

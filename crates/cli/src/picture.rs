@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
+use murmurate::messages::ids::RobotId;
 use murmurate::report::TrialReport;
 use murmurate::results::episode::Episode;
 use murmurate::results::totals::Steps;
@@ -163,6 +164,7 @@ fn stage<'a>(trial: &'a Trial, policy: &str, episode: u32) -> Backdrop<'a> {
         radius_m: trial.physics.wall_radius_m,
         window: Span::from_secs(window_s),
         tasks: trial.layouts.episode(episode),
+        courses: (0..robots).map(|robot| trial.layouts.course(episode, RobotId(robot as u16))).collect(),
         chassis: trial.deployment.team_chassis().to_vec(),
         sweeps: trial.sense_layouts().into_iter().map(|(_, layout)| layout.sweep).collect(),
     }

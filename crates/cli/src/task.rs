@@ -7,6 +7,7 @@ use anyhow::{Context, Result};
 use murmurate::config::shown::{counted, value};
 use murmurate::deploy::{Deployment, Impair};
 use murmurate::messages::geometry::{Planar, Task, Vec2};
+use murmurate::messages::ids::RobotId;
 use murmurate::policy;
 use murmurate::policy::roadmap::Roadmap;
 use murmurate::registry::Registry;
@@ -84,6 +85,8 @@ struct Checked {
     hull_m: f32,
     walls: usize,
     doors: usize,
+    /// Names of the senses that the file gives the robots.
+    senses: Vec<String>,
     layouts: u32,
     /// Number of episodes in which scripted navigation succeeded.
     successes: usize,
@@ -137,6 +140,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         hull_m: arena.hull_m(),
         walls: arena.keep_outs.len(),
         doors: arena.portals.len(),
+        senses: file.senses().keys().cloned().collect(),
         layouts: args.layouts,
         successes,
         success_rate,
@@ -170,6 +174,9 @@ fn text(checked: &Checked) -> String {
         ),
         format!("  digest     {}", checked.digest),
     ];
+    if !checked.senses.is_empty() {
+        lines.insert(3, format!("  senses     {}", checked.senses.join(", ")));
+    }
     lines.extend(checked.findings.iter().map(|finding| format!("cannot work: {finding}")));
     lines.join("\n")
 }
@@ -184,7 +191,11 @@ fn lost(trial: &Trial) -> Option<String> {
             roadmap = Roadmap::new(arena);
         }
         let tasks = trial.layouts.episode(episode);
-        let is_lost = |robot: usize, goal: usize| roadmap.path(tasks[robot].start, tasks[goal].goal).is_none();
+        let is_lost = |robot: usize, goal: usize| {
+            let course = trial.layouts.course(episode, RobotId(robot as u16));
+            let ends = [&[tasks[robot].start], course.waypoints(), &[tasks[goal].goal]].concat();
+            ends.windows(2).any(|leg| roadmap.path(leg[0], leg[1]).is_none())
+        };
         let goals: Vec<usize> = if trial.scenario.goals().are_unlabelled() {
             let pairs = (0..tasks.len()).flat_map(|robot| (0..tasks.len()).map(move |goal| (robot, goal)));
             let costs: Vec<i64> = pairs.map(|(robot, goal)| is_lost(robot, goal).into()).collect();

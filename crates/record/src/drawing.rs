@@ -47,9 +47,9 @@ fn point(at: Vec2, height_m: f64) -> [f64; 3] {
     [f64::from(at.x), f64::from(at.y), height_m]
 }
 
-/// Returns the entities of a Foxglove scene update for the walls of `stage` in an episode and the robots' `goals`
-/// \[m\], world frame, in the order of robot ids. `at` is the time of the update \[ns\], since 1970 or the start of a
-/// simulation.
+/// Returns the entities of a Foxglove scene update for the walls and waypoints of `stage` in an episode and the robots'
+/// `goals` \[m\], world frame, in the order of robot ids. `at` is the time of the update \[ns\], since 1970 or the
+/// start of a simulation.
 pub fn walls_and_goals(at: u64, (stage, episode): (&Stage, u32), goals: &[Vec2]) -> [SceneEntity; 2] {
     let cube = |wall: &Solid| {
         let Solid::Rect([x, y, far_x, far_y]) = *wall else { return None };
@@ -69,6 +69,12 @@ pub fn walls_and_goals(at: u64, (stage, episode): (&Stage, u32), goals: &[Vec2])
         ..TriangleListPrimitive::default()
     });
     let width = f64::from(stage.hull_m) * 2.0;
+    let waypoints = stage.waypoints.get(episode as usize).into_iter().flatten().enumerate();
+    let waypoints = waypoints.flat_map(|(robot, places)| places.iter().map(move |place| (robot, *place)));
+    let waypoint = |(robot, place): (usize, [f32; 2])| {
+        let size = [width / 4.0, width / 4.0, 0.01];
+        disc(point(Vec2::from(place), 0.005), size, Color { a: 0.35, ..colour_of(robot) })
+    };
     let goal = |(robot, goal): (usize, &Vec2)| {
         let colour = if stage.unlabelled { GREY } else { colour_of(robot) };
         disc(point(*goal, 0.005), [width, width, 0.01], Color { a: 0.35, ..colour })
@@ -80,7 +86,7 @@ pub fn walls_and_goals(at: u64, (stage, episode): (&Stage, u32), goals: &[Vec2])
             ..foxglove::entity(at, "walls".to_owned())
         },
         SceneEntity {
-            cylinders: goals.iter().enumerate().map(goal).collect(),
+            cylinders: goals.iter().enumerate().map(goal).chain(waypoints.map(waypoint)).collect(),
             ..foxglove::entity(at, "goals".to_owned())
         },
     ]

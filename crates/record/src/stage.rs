@@ -38,6 +38,9 @@ pub struct Stage {
     /// Walls and obstacles of each episode, where obstacles are drawn for each; empty where all episodes have `walls`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub drawn: Vec<Vec<Solid>>,
+    /// Waypoints of each robot in each episode \[m\], world frame; empty if there are none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub waypoints: Vec<Vec<Vec<[f32; 2]>>>,
     /// Whether goals belong to no robot.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub unlabelled: bool,
@@ -75,12 +78,13 @@ impl Stage {
             mount_m: layout.sweep.map_or([0.0; 2], |sweep| sweep.mount_m),
         });
         let stage = Stage::of_team((&trial.deployment, &*trial.scenario), trial.physics.wall_radius_m, range_m);
-        Stage { senses: senses.collect(), drawn: trial.layouts.drawn_blocks(), ..stage }
+        let (drawn, waypoints) = (trial.layouts.drawn_blocks(), trial.layouts.waypoints());
+        Stage { senses: senses.collect(), drawn, waypoints, ..stage }
     }
 
     /// Returns the stage of a team with this deployment and scenario. `hull_m` is the radius of a robot's hull \[m\],
     /// and `range_m` the range within which robots use each other's messages \[m\], infinite if it is unlimited or
-    /// unknown. Senses, and obstacles that are drawn for each episode, are left out.
+    /// unknown. Senses, and what is drawn for each episode, are left out.
     pub fn of_team((deployment, scenario): (&Deployment, &dyn Scenario), hull_m: f32, range_m: f32) -> Stage {
         let arena = scenario.arena();
         let routes = Routes::of(deployment);
@@ -93,6 +97,7 @@ impl Stage {
             half_extent: arena.half_extent.to_array(),
             walls: arena.keep_outs.iter().map(KeepOut::solid).collect(),
             drawn: Vec::new(),
+            waypoints: Vec::new(),
             unlabelled: scenario.goals().are_unlabelled(),
             hull_m,
             range_m: Some(range_m).filter(|range_m| range_m.is_finite()),

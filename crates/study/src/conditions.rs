@@ -77,6 +77,7 @@ pub fn deployed(
     shared: &Deployed,
 ) -> Trial {
     let fitted = shared.fitted.clone().unwrap_or_default();
+    deployment = deployment.for_task(scenario.task_file());
     match medium {
         // In a mode in which no message between robots crosses a link, there is nothing to act on.
         LinkModel::Radio if fitted.impair() => deployment = fitted.links(deployment.clone()).unwrap_or(deployment),

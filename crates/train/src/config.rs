@@ -17,7 +17,7 @@ use murmurate::policy::file::AnyManifest;
 use murmurate::policy::hops::action::Action;
 use murmurate::policy::hops::entry;
 use murmurate::policy::manifest::Architecture;
-use murmurate::scenario::{Scenario, Settings};
+use murmurate::scenario::{Scenario, Settings, TaskFile};
 use murmurate::senses;
 
 /// Name and TOML text of each preset, a predefined configuration of a training.
@@ -256,6 +256,17 @@ impl Config {
     /// scenario has not.
     pub fn channels(&self, scenarios: &[Arc<dyn Scenario>]) -> Result<Option<Channels>, ConfigError> {
         Channels::new(&self.policy.observation, &self.senses, scenarios)
+    }
+
+    /// Returns the configuration with those senses of a task file, if there is one, that the policy's observation takes
+    /// by their names. Under a name that the configuration has, it keeps its own.
+    pub fn for_task(mut self, file: Option<&TaskFile>) -> Config {
+        let taken = entry::requests(&self.policy.observation);
+        let of_file = file.into_iter().flat_map(TaskFile::senses);
+        for (name, settings) in of_file.filter(|(name, _)| taken.iter().any(|request| request.channel == **name)) {
+            self.senses.entry(name.clone()).or_insert_with(|| senses::Settings::of_task(settings.clone()));
+        }
+        self
     }
 
     /// Returns the shape of the policy's network.

@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use super::channels::Observing;
 use super::conditions::EpisodeConditions;
 use super::config::{Conditions, Reward};
+use super::courses::Courses;
 use super::filters;
 use super::message_buffer::MessageBuffer;
 use super::reward::{RobotStep, TeamMeans, proximity_penalty, robot_reward, team_penalty};
@@ -72,8 +73,9 @@ pub struct Environments {
     pub(super) rolling: Option<Rolling>,
     /// Contacts of each robot with walls and other robots in the last step.
     pub contacts: Vec<Contacts>,
-    /// Start and goal of each robot in its current episode \[m\], world frame.
+    /// Start and goal of each robot in its current episode \[m\], world frame: of its present leg, if it has waypoints.
     pub tasks: Vec<Task>,
+    pub(super) courses: Courses,
     /// Stage of each robot's progress, which the scenario's reward uses.
     pub stage: Vec<Progress>,
     /// Whether each robot has arrived at its goal in its current episode.
@@ -153,6 +155,7 @@ impl Environments {
             rolling: None,
             contacts: vec![Contacts::default(); robots],
             tasks: vec![no_task; robots],
+            courses: Courses::new(robots),
             stage: vec![Progress(0); robots],
             arrived: vec![false; robots],
             to_go_m: vec![0.0; robots],
@@ -193,6 +196,11 @@ impl Environments {
         &**self.scenarios[self.teams[team].robots].as_ref().expect("every team has a scenario")
     }
 
+    /// Returns the scenario of the team with index `team`, for use beside the team.
+    pub(super) fn scenario_of(&self, team: usize) -> Arc<dyn Scenario> {
+        Arc::clone(self.scenarios[self.teams[team].robots].as_ref().expect("every team has a scenario"))
+    }
+
     /// Returns the arena of the current episode of the team with index `team`.
     pub fn arena(&self, team: usize) -> &Arena {
         self.arenas[team].as_ref().unwrap_or_else(|| self.scenario(team).arena())
@@ -208,7 +216,7 @@ impl Environments {
     /// which the scenario draws starts and goals; headings and noise are drawn from `stream`.
     pub fn place(&mut self, team: usize, layout: (u64, u32), episode: EpisodeConditions, stream: &mut Stream) {
         let tasks = self.scenario(team).tasks(layout.0, layout.1);
-        self.set_episode(team, layout, &tasks, episode);
+        self.set_episode(team, (layout, &tasks), &[], episode);
         for (index, task) in tasks.iter().enumerate() {
             let robot = self.teams[team].first + index;
             let velocity = self.scenario(team).start_velocity(task);
@@ -244,15 +252,24 @@ impl Environments {
         let range = self.teams[team].range();
         let points: Vec<Vec2> = range.clone().map(|robot| self.point(robot).position).collect();
         let mut to_go_m = vec![0.0; points.len()];
-        self.scenario(team).distances_to_go(&self.tasks[range], &points, &mut to_go_m);
+        self.scenario(team).distances_to_go(&self.tasks[range.clone()], &points, &mut to_go_m);
+        self.courses.add_beyond(range, &mut to_go_m);
         to_go_m
     }
 
-    pub(super) fn set_episode(&mut self, team: usize, layout: (u64, u32), tasks: &[Task], episode: EpisodeConditions) {
+    /// Sets the episode of a team: its layout, tasks and conditions. Its robots have passed waypoints after the steps
+    /// in `passed`, which is empty for an episode that begins.
+    pub(super) fn set_episode(
+        &mut self,
+        team: usize,
+        (layout, tasks): ((u64, u32), &[Task]),
+        passed: &[Vec<u32>],
+        episode: EpisodeConditions,
+    ) {
         self.physics[team] = episode.physics(self.scenario(team).arena());
         self.arenas[team] = self.scenario(team).drawn_arena(layout.0, layout.1);
         let range = self.teams[team].range();
-        self.tasks[range.clone()].copy_from_slice(tasks);
+        self.set_out(team, tasks, layout, passed);
         (self.teams[team].layout, self.teams[team].episode) = (layout, episode);
         let ahead_m = self.rolling.as_ref().map_or(0.0, Rolling::ahead_m);
         let (episode, arena) = (&self.teams[team].episode, self.arena(team));
@@ -295,8 +312,10 @@ impl Environments {
             scenario.rewards(after, &mut self.scenario_reward[range.clone()]);
         }
         scenario.arrivals(tasks, points, &mut self.reached[range.clone()]);
+        self.courses.keep_through(range.clone(), &mut self.reached[range.clone()]);
         if weights.progress > 0.0 {
             scenario.distances_to_go(tasks, points, &mut self.left_m[range.clone()]);
+            self.courses.add_beyond(range.clone(), &mut self.left_m[range.clone()]);
         }
         let scored = self.scenario_reward[range.clone()].iter().zip(&self.reached[range.clone()]);
         let scored = scored.zip(&self.left_m[range.clone()]);
@@ -327,6 +346,8 @@ impl Environments {
         team_of.touched |= touched;
         team_of.episode_return += mean - waiting;
         team_of.step += 1;
+        self.turn(team);
+        let team_of = &self.teams[team];
         if !team_of.episode.lockstep {
             self.measure(team, stream);
         }

@@ -12,7 +12,7 @@ use super::trainer::Trainer;
 use murmurate::policy::Draw;
 use murmurate::random::Seed;
 use murmurate::scenario::Scenario;
-use murmurate::scenario::judge::{Judge, JudgedRobot, Judgement, Verdict};
+use murmurate::scenario::judge::{JudgedRobot, Judgement, Verdict};
 use murmurate::time::Span;
 use murmurate::world::kinematic::PERIOD;
 use murmurate_report::statistics::quantile;
@@ -59,10 +59,7 @@ impl Evaluation<'_> {
         let mut judges = Vec::new();
         for (team, episode) in episodes.enumerate() {
             chunk.environments.place(team, (self.seed, episode), conditions(episode), &mut stream);
-            let range = chunk.environments.teams[team].range();
-            let goals = chunk.environments.tasks[range].iter().map(|task| task.goal);
-            let judge = Judge::new(self.scenario.rules(), goals.collect()).with_cost(self.scenario.cost());
-            judges.push(judge.with_goals(self.scenario.goals()));
+            judges.push(chunk.environments.judge(team));
         }
         let mut findings: Vec<Option<Judgement>> = vec![None; rows];
         let mut after = Span::ZERO;

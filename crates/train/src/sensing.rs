@@ -62,7 +62,8 @@ impl Environments {
             Some(_) => to.copy_from_slice(messages.observation(step, robot, to.len())),
             None => {
                 let robot_of_all = self.teams[team].first + robot;
-                let own = self.own((team, robot_of_all), &messages.estimate(step, robot));
+                let leg = self.courses.leg_in(robot_of_all, step);
+                let own = self.own((team, robot_of_all), &leg, &messages.estimate(step, robot));
                 entry::write(&self.observing.entries, &own, to);
             }
         }
@@ -75,7 +76,7 @@ impl Environments {
         let mut observing = std::mem::take(&mut self.observing);
         let Observing { entries, channels, memory } = &mut observing;
         match channels {
-            None => entry::write(entries, &self.own((team, robot), &truth), to),
+            None => entry::write(entries, &self.own((team, robot), &self.tasks[robot], &truth), to),
             Some(channels) => {
                 let each = memory.len() / self.position.len();
                 // What the policy's channels remember does not change by it.
@@ -86,10 +87,10 @@ impl Environments {
         self.observing = observing;
     }
 
-    /// Returns the state of a robot with the motion `estimate`, world frame, as the policy observes it, without values
-    /// of channels.
-    fn own(&self, (team, robot): (usize, usize), estimate: &Motion) -> Observation<'static> {
-        let (scenario, task, of_team) = (self.scenario(team), &self.tasks[robot], &self.teams[team]);
+    /// Returns the state of a robot with this task and the motion `estimate`, world frame, as the policy observes it,
+    /// without values of channels.
+    fn own(&self, (team, robot): (usize, usize), task: &Task, estimate: &Motion) -> Observation<'static> {
+        let (scenario, of_team) = (self.scenario(team), &self.teams[team]);
         let frame = scenario.frame(task);
         let yaw_rate = self.rolling.as_ref().map_or(0.0, |rolling| rolling.wheels[robot].yaw_rate());
         Observation {
@@ -120,7 +121,7 @@ impl Environments {
             robot: robot - range.start,
         };
         channels.sense(place, stream);
-        let own = self.own((team, robot), estimate);
+        let own = self.own((team, robot), &self.tasks[robot], estimate);
         let tasks: Vec<Option<Task>> = self.tasks[range].iter().copied().map(Some).collect();
         let values = channels.values(memory, &own, (&self.tasks[robot], &tasks));
         let mut observation = Vec::new();

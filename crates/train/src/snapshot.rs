@@ -29,6 +29,9 @@ pub struct Snapshot {
     /// Memories of channels of the robots' episodes; empty for observations without such channels.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     remembered: Vec<f32>,
+    /// Steps after which each robot has passed its waypoints; empty if none has passed any.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    passed: Vec<Vec<u32>>,
 }
 
 impl Snapshot {
@@ -61,6 +64,7 @@ impl Environments {
             turned: self.rolling.iter().flat_map(|r| &r.wheels).map(|w| [w.heading(), w.yaw_rate()]).collect(),
             yielding: filters::yielding(&self.filters),
             remembered: self.observing.memory.clone(),
+            passed: self.courses.passed(),
         }
     }
 
@@ -81,6 +85,7 @@ impl Environments {
         shape(&snapshot.teams) == shape(&self.teams)
             && lengths == [robots; 5]
             && snapshot.turned.len() == turned
+            && [0, robots].contains(&snapshot.passed.len())
             && motions.all(|number| number.is_finite())
             && snapshot.remembered.len() == self.observing.memory.len()
             && snapshot.remembered.iter().all(|number| number.is_finite())
@@ -107,7 +112,7 @@ impl Environments {
         for team in 0..self.teams.len() {
             let TrainingTeam { layout, episode, .. } = self.teams[team].clone();
             let tasks = self.scenario(team).tasks(layout.0, layout.1);
-            self.set_episode(team, layout, &tasks, episode);
+            self.set_episode(team, (layout, &tasks), &snapshot.passed, episode);
         }
         filters::restore(&mut self.filters, &snapshot.yielding);
         self.observing.memory = snapshot.remembered;

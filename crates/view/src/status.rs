@@ -37,6 +37,8 @@ pub struct Scene {
     pub walls: Vec<Solid>,
     /// Walls and obstacles of each episode, where obstacles are drawn for each; empty where all episodes have `walls`.
     pub drawn: Vec<Vec<Solid>>,
+    /// Waypoints of each robot in each episode \[m\], world frame; empty if there are none.
+    pub waypoints: Vec<Vec<Vec<[f32; 2]>>>,
     /// Whether goals belong to no robot.
     pub unlabelled: bool,
     /// Radius of a robot's hull \[m\].

@@ -11,6 +11,7 @@ use crate::messages::wire::{Encoding, MAX_FLOATS, Phase, Round, all_sound};
 use crate::observation::{Bound, Dynamics, Known, Observation};
 use crate::policy::{Broadcast, Policy};
 use crate::random::Stream;
+use crate::scenario::course::Course;
 use crate::scenario::{Arena, Scenario};
 use crate::time::{Span, Time};
 
@@ -73,6 +74,8 @@ impl RobotPolicies {
 pub(super) struct Slot {
     pub policies: RobotPolicies,
     pub task: Option<Task>,
+    /// Waypoints of the robot in the present episode.
+    pub course: Course,
     pub percept: Option<Percept>,
     /// Observation of the robot in the current step, without values of channels.
     pub own: Observation<'static>,
@@ -147,6 +150,7 @@ impl Slot {
         Slot {
             policies,
             task: None,
+            course: Course::default(),
             percept: None,
             own: Observation::new(Motion::default(), Vec2::zeros()),
             values,
@@ -231,6 +235,7 @@ impl Slot {
     pub fn begin(&mut self) {
         self.stepped = [None; 2];
         (self.held, self.held_since) = (None, None);
+        self.course = std::mem::take(&mut self.course).after(0);
         self.memory.fill(0.0);
         self.reset();
     }

@@ -105,8 +105,8 @@ pub struct TeamFile {
     deployment: Deployment,
     safety: Safety,
     folder: PathBuf,
-    /// Path of the task file that the field `scenario` names.
-    task_path: Option<PathBuf>,
+    /// Task file that the field `scenario` names, with its path.
+    task: Option<(PathBuf, TaskFile)>,
 }
 
 #[derive(Deserialize)]
@@ -136,13 +136,15 @@ impl TeamFile {
     ) -> Result<TeamFile, ConfigError> {
         let mut layers = Layers::read(text, flags, &WHOLE_TABLES, registry.transports())?;
         layers.read_environment(variables)?;
-        let (registry, task_path) = &knowing_task(registry, &layers, |entry| path(folder, entry))?;
+        let (registry, task) = &knowing_task(registry, &layers, |entry| path(folder, entry))?;
         let inline: Inline = config::from_toml(text)?;
         inline.safety.check().map_err(|error| error.within("safety"))?;
         let deployment = deployment(registry, inline.deployment, &layers)?;
         let deployment = deployment.from_folder(registry, folder).perceiving(registry, inline.senses)?;
         let deployment = deployment.in_roles(registry, placed(registry, inline.roles, folder))?;
-        let safety = about_hulls(inline.safety, &layers, (registry, &deployment))?;
+        let file = task.as_ref().map(|(_, file)| file);
+        let deployment = deployment.for_task(file);
+        let safety = about_hulls(inline.safety, &layers, (file, &deployment))?;
         let mut fields = vec![EVERY_INTERFACE.to_owned()];
         for link in &deployment.links {
             fields.extend(layers.fields().of_link().map(|field| format!("link.{}.{field}", link.name)));
@@ -153,8 +155,8 @@ impl TeamFile {
             fields.extend(KINDS.map(|kind| format!("link.{}.reliability.{}", link.name, kebab(kind))));
         }
         layers.read_link_environment(variables, &fields)?;
-        let (registry, folder, task_path) = (registry.clone(), folder.to_owned(), task_path.clone());
-        let file = TeamFile { registry, layers, deployment, safety, folder, task_path };
+        let (registry, folder, task) = (registry.clone(), folder.to_owned(), task.clone());
+        let file = TeamFile { registry, layers, deployment, safety, folder, task };
         file.check_names()?;
         Ok(file)
     }
@@ -227,7 +229,7 @@ impl TeamFile {
             key_file,
             confidential,
             scenario: scenario.name().to_owned(),
-            task: self.task_path.clone().zip(scenario.task_file().cloned()),
+            task: self.task.clone(),
             policy,
             episodes: u32::try_from(whole("episodes")).expect("its range is smaller"),
             seed: whole("seed"),

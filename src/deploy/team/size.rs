@@ -10,7 +10,7 @@ use crate::deploy::Deployment;
 use crate::registry::Registry;
 use crate::safety::Safety;
 use crate::scenario::task_file::is_task_file;
-use crate::scenario::{Scenario, ScenarioError, Settings};
+use crate::scenario::{Scenario, ScenarioError, Settings, TaskFile};
 
 impl Team {
     /// Makes the team's scenario, in the size of its deployment; `registry` has it, unless it is of a task file. An
@@ -24,14 +24,14 @@ impl Team {
     }
 }
 
-/// Returns the registry with the task file that the field `scenario` names, if it names one, and the path of that file.
-/// All scenarios of the team are then of this content. `path` returns the path that a field contains. An error names
-/// the field.
+/// Returns the registry with the task file that the field `scenario` names, if it names one, and that file with its
+/// path. All scenarios of the team are then of this content. `path` returns the path that a field contains. An error
+/// names the field.
 pub fn knowing_task(
     registry: &Registry,
     layers: &Layers,
     path: impl Fn(&LayerValue) -> PathBuf,
-) -> Result<(Registry, Option<PathBuf>), ConfigError> {
+) -> Result<(Registry, Option<(PathBuf, TaskFile)>), ConfigError> {
     let entry = layers.find(&[String::new()], "scenario").expect("it has a default");
     if !is_task_file(text(&entry)) {
         return Ok((registry.clone(), None));
@@ -39,7 +39,7 @@ pub fn knowing_task(
     let path = path(&entry);
     let file = registry.task_file(&path.to_string_lossy());
     let file = file.map_err(|e| ConfigError::field(place("scenario", &entry.origin), e.to_string()))?;
-    Ok((registry.clone().with_task(text(&entry), file), Some(path)))
+    Ok((registry.clone().with_task(text(&entry), file.clone()), Some((path, file))))
 }
 
 /// Creates the scenario named in the field `entry` with the settings of its team. An error names the setting that is
@@ -66,12 +66,9 @@ pub fn build(
 pub fn about_hulls(
     safety: Safety,
     layers: &Layers,
-    (registry, deployment): (&Registry, &Deployment),
+    (task, deployment): (Option<&TaskFile>, &Deployment),
 ) -> Result<Safety, ConfigError> {
-    let entry = layers.find(&[String::new()], "scenario").expect("it has a default");
-    let of_task = || registry.task_file(text(&entry)).map(|file| file.hull_m());
-    let of_task = is_task_file(text(&entry)).then(of_task).and_then(Result::ok);
-    let Some(hull_m) = deployment.hull_m.or(of_task) else { return Ok(safety) };
+    let Some(hull_m) = deployment.hull_m.or(task.map(TaskFile::hull_m)) else { return Ok(safety) };
     let of_hull = safety.of_hull(hull_m);
     let (mut found, given) = (safety, |field: &str| layers.table(&format!("safety.{field}")).is_some());
     if !given("distance_min_m") {

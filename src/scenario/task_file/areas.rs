@@ -1,9 +1,9 @@
 //! Areas of a task file: discs, rectangles and formations, in which places of robots are drawn.
 
 use rand::RngExt;
-use rand::seq::SliceRandom;
+use rand::seq::{IndexedRandom, SliceRandom};
 
-use super::fields::Shape;
+use super::shapes::Shape;
 use crate::messages::geometry::Vec2;
 use crate::random::Stream;
 use crate::scenario::size::APART;
@@ -84,15 +84,31 @@ impl Area {
         places
     }
 
-    fn try_draw(&self, arena: &Arena, count: usize, stream: &mut Stream) -> Option<Vec<Vec2>> {
+    /// Draws a place \[m\] in the area beside those that are `taken`; `None` if there is none.
+    pub fn draw_beside(&self, arena: &Arena, taken: &[Vec2], stream: &mut Stream) -> Option<Vec2> {
+        let mut places = if self.is_formation { self.points() } else { Vec::new() };
+        if !self.is_formation {
+            let drawn = (0..TRIES.1).find_map(|_| self.try_place(arena, taken, stream));
+            if drawn.is_some() {
+                return drawn;
+            }
+            places = self.fullest(arena);
+        }
+        places.retain(|place| admits(self.is_formation, arena, *place) && is_apart(*place, taken, arena));
+        places.choose(stream).copied()
+    }
+
+    /// Draws a point in the bounds of the area; `None` if no robot has its place there beside those that are `taken`.
+    fn try_place(&self, arena: &Arena, taken: &[Vec2], stream: &mut Stream) -> Option<Vec2> {
         let (low, high) = self.bounds();
+        let place = Vec2::new(stream.random_range(low.x..=high.x), stream.random_range(low.y..=high.y));
+        (self.has(place) && admits(false, arena, place) && is_apart(place, taken, arena)).then_some(place)
+    }
+
+    fn try_draw(&self, arena: &Arena, count: usize, stream: &mut Stream) -> Option<Vec<Vec2>> {
         let mut drawn: Vec<Vec2> = Vec::with_capacity(count);
         for _ in 0..count {
-            let place = (0..TRIES.1).find_map(|_| {
-                let place = Vec2::new(stream.random_range(low.x..=high.x), stream.random_range(low.y..=high.y));
-                let fits = self.has(place) && admits(false, arena, place) && is_apart(place, &drawn, arena);
-                fits.then_some(place)
-            });
+            let place = (0..TRIES.1).find_map(|_| self.try_place(arena, &drawn, stream));
             drawn.push(place?);
         }
         Some(drawn)

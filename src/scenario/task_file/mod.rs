@@ -1,24 +1,29 @@
 //! Tasks as data: a scenario that is made from the text of a task file (TOML), without Rust.
 //!
-//! `fields` has what may be written, `areas` and `places` the starts and goals, `doors` the bottlenecks that it finds,
-//! `ways` the lengths of paths, `behaviour` what a caller adds to a file. A file is read where the program reads files;
-//! this code gets its text.
+//! `fields` and `shapes` have what may be written, `areas`, `places` and `waypoints` the starts, the goals and what is
+//! passed between them, `doors` the bottlenecks that it finds, `ways` the lengths of paths, `behaviour` what a caller
+//! adds to a file. A file is read where the program reads files; this code gets its text.
 
 mod areas;
 mod behaviour;
 mod doors;
 mod fields;
 mod places;
+mod shapes;
+mod waypoints;
 mod ways;
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 
 pub use behaviour::{Behaviour, EpisodeStep};
 use rand::RngExt;
 
 use self::areas::least_m;
-use self::fields::{Fields, MOST_BLOCKS, Obstacles, Shape};
+use self::fields::Fields;
 use self::places::Places;
+use self::shapes::{MOST_BLOCKS, Obstacles, Shape};
+use self::waypoints::Waypoints;
 use self::ways::Ways;
 use super::arena::Arena;
 use super::block::KeepOut;
@@ -57,6 +62,7 @@ struct FromFile {
     arena: Arena,
     /// Rule by which robots get their places; `None` if the behaviour of the task draws them.
     places: Option<Places>,
+    waypoints: Waypoints,
     rules: Rules,
     /// Ways through the arena, which training alone needs.
     ways: OnceLock<Ways>,
@@ -77,6 +83,9 @@ impl TaskFile {
     /// without areas and places. An error is one line that names the field.
     pub fn with_behaviour(text: &str, behaviour: Arc<dyn Behaviour>) -> Result<TaskFile, ConfigError> {
         let fields = Arc::new(Fields::read(text, behaviour.draws())?);
+        if !fields.waypoints.is_empty() {
+            return Err(ConfigError::field("waypoints", "a task with a behaviour of its own has none: leave them out"));
+        }
         Ok(TaskFile { fields, text: text.into(), behaviour: Some(behaviour) })
     }
 
@@ -103,6 +112,11 @@ impl TaskFile {
     /// Returns the radius \[m\] of a robot's hull where none is set.
     pub fn hull_m(&self) -> f32 {
         self.fields.hull_m
+    }
+
+    /// Returns the senses of each robot, by their names: the `kind` of each, and settings that this kind alone reads.
+    pub fn senses(&self) -> &BTreeMap<String, toml::Table> {
+        &self.fields.senses
     }
 
     /// Returns the text of the file.
@@ -158,7 +172,9 @@ impl TaskFile {
         let places = (!self.draws_apart()).then(|| Places::of(&self.fields, size.scale));
         places.iter().try_for_each(|places| places.check(robots, &arena, rules.arrival_m)).map_err(wrong)?;
         let (file, scale, ways) = (self.clone(), size.scale, OnceLock::new());
-        let scenario = FromFile { file, robots, scale, arena, places, rules, ways };
+        let waypoints = Waypoints::of(&self.fields, size.scale);
+        let scenario = FromFile { file, robots, scale, arena, places, waypoints, rules, ways };
+        scenario.waypoints.check(&scenario.arena, |episode| scenario.tasks(0, episode)).map_err(wrong)?;
         scenario.check_obstacles().map_err(wrong)?;
         Ok(Arc::new(scenario))
     }
@@ -211,8 +227,8 @@ impl TaskFile {
 
     /// Returns the places that the file gives one by one \[m\].
     fn points(&self) -> Vec<Vec2> {
-        let Fields { start, goal, area, exchange, places, .. } = &*self.fields;
-        let shapes = start.iter().chain(goal).chain(area).chain(exchange.iter().flatten());
+        let Fields { start, goal, area, exchange, places, waypoints, .. } = &*self.fields;
+        let shapes = start.iter().chain(goal).chain(area).chain(exchange.iter().flatten()).chain(waypoints);
         let points = shapes.filter_map(|shape| match shape {
             Shape::Points(points) => Some(points),
             Shape::Rect(_) | Shape::Disc(_) | Shape::Polygon(_) => None,
@@ -278,7 +294,8 @@ impl Scenario for FromFile {
     fn drawn_arena(&self, seed: u64, episode: u32) -> Option<Arena> {
         self.file.drawn(true).next()?;
         let tasks = self.tasks(seed, episode);
-        let places: Vec<Vec2> = tasks.iter().flat_map(|task| [task.start, task.goal]).collect();
+        let mut places: Vec<Vec2> = tasks.iter().flat_map(|task| [task.start, task.goal]).collect();
+        places.extend(self.waypoints.draw(&self.arena, &tasks, (seed, episode)).concat());
         let mut arena = self.arena.clone();
         for (at, obstacles) in self.file.drawn(true) {
             let name = format!("task-file/obstacles/{at}/{}/{episode}", obstacles.seed);
@@ -298,6 +315,13 @@ impl Scenario for FromFile {
         let placement = |index| places.placement(team, seed, index);
         let (starts, goals) = (placement(episode), placement(episode + 1));
         starts.into_iter().zip(goals).map(|(start, goal)| Task { start, goal }).collect()
+    }
+
+    fn waypoints(&self, seed: u64, episode: u32) -> Vec<Vec<Vec2>> {
+        if self.file.fields.waypoints.is_empty() {
+            return Vec::new();
+        }
+        self.waypoints.draw(&self.arena, &self.tasks(seed, episode), (seed, episode))
     }
 
     fn frame(&self, _: &Task) -> PolicyFrame {

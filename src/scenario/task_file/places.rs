@@ -7,7 +7,8 @@ use rand::RngExt;
 use rand::seq::SliceRandom;
 
 use super::areas::{Area, least_m};
-use super::fields::{Fields, Shape};
+use super::fields::Fields;
+use super::shapes::Shape;
 use crate::config::ConfigError;
 use crate::config::shown::counted;
 use crate::messages::geometry::Vec2;

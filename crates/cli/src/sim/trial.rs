@@ -91,7 +91,7 @@ pub fn of_flags(
         None => Deployment::preset(&args.mode, scenario.robots()).expect("the parser lets only modes through"),
     };
     deployment = deployment.sized(&settings);
-    deployment = of_files(args, deployment, registry, place)?;
+    deployment = of_files(args, deployment, registry, place)?.for_task(scenario.task_file());
     check_pace(&deployment, registry)?;
     deployment = network(args, fitted, deployment)?;
     deployment.placement = args.placement.unwrap_or(deployment.placement);

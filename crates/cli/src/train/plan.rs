@@ -1,7 +1,5 @@
 //! Creates the [`Trainer`] of a new or a resumed training from the flags.
 
-use std::sync::Arc;
-
 use anyhow::{Context, Result};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -15,7 +13,7 @@ use murmurate::config::{ConfigError, from_table, regular, unquoted};
 use murmurate::deploy::conditions::Conditions;
 use murmurate::policy::hops::entry;
 use murmurate::registry::Registry;
-use murmurate::scenario::{Scenario, ScenarioError, Settings, goals};
+use murmurate::scenario::{ScenarioError, Settings, goals};
 use murmurate_robot::BadInput;
 use murmurate_robot::output::{self, read_bytes, read_text};
 use murmurate_robot::own_name;
@@ -75,8 +73,9 @@ fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
         given.loss = loss.map_or(given.loss, |loss| [loss as f32; 2]);
     }
     let settings = config.settings(config.robots, None);
-    let is_unlabelled = |scenario: Arc<dyn Scenario>| scenario.goals().are_unlabelled();
-    if registry.scenario(&args.scenario, &settings).is_ok_and(is_unlabelled) && !sees_goals(&config) {
+    let scenario = registry.scenario(&args.scenario, &settings).ok();
+    config = config.for_task(scenario.as_ref().and_then(|scenario| scenario.task_file()));
+    if scenario.is_some_and(|scenario| scenario.goals().are_unlabelled()) && !sees_goals(&config) {
         return Err(BadInput(format!(
             "{}: its goals are unlabelled, and policy.observation has the goal of the robot's own task alone. In its \
              place put {{ name = \"{}\", shape = [{}, 2], unit = \"m\", frame = \"policy\" }}, or see \

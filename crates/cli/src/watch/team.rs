@@ -125,7 +125,8 @@ impl Page {
         let policy = team::policy(&some, registry).ok();
         let routes = Routes::of(deployment);
         let range_m = policy.as_ref().map(|policy| farthest_m(deployment, &policy.models));
-        let drawn = Layouts::of_scenario(&*scenario, some.seed, some.episodes).drawn_blocks();
+        let layouts = Layouts::of_scenario(&*scenario, some.seed, some.episodes);
+        let (drawn, waypoints) = (layouts.drawn_blocks(), layouts.waypoints());
         let scene = Scene {
             scenario: some.scenario.clone(),
             mode: deployment.mode.clone(),
@@ -137,6 +138,7 @@ impl Page {
             hears_links: false,
             hears_results: events.is_some(),
             drawn: drawn.clone(),
+            waypoints: waypoints.clone(),
             unlabelled: scenario.goals().are_unlabelled(),
             ..Scene::of_arena(scenario.arena())
         };
@@ -152,7 +154,7 @@ impl Page {
             stage: {
                 let range_m = range_m.unwrap_or(f32::INFINITY);
                 let stage = Stage::of_team((deployment, &*scenario), scenario.arena().robot_radius_m, range_m);
-                Stage { drawn, ..stage }
+                Stage { drawn, waypoints, ..stage }
             },
         })
     }

@@ -511,6 +511,10 @@ function drawGoals(at, hull, pixel) {
   pen.beginPath();
   const shown = goals.map((goal, robot) => [goal, robot]).filter(([goal, robot]) =>
     goal && (chosen === null || scene.unlabelled || robot === chosen));
+  const ways = status && scene.waypoints[status.episode - 1] || [];
+  for (const [x, y] of shown.flatMap(([, robot]) => ways[robot] || [])) {
+    pen.moveTo(x + arm / 2, y); pen.arc(x, y, arm / 2, 0, 2 * Math.PI);
+  }
   for (const [[x, y]] of shown) {
     pen.moveTo(x - arm, y - arm); pen.lineTo(x + arm, y + arm);
     pen.moveTo(x - arm, y + arm); pen.lineTo(x + arm, y - arm);
@@ -522,7 +526,13 @@ function drawGoals(at, hull, pixel) {
   pen.globalAlpha = 0.5; pen.lineWidth = pixel; pen.setLineDash([2 * pixel, 5 * pixel]);
   pen.beginPath();
   goals.forEach((goal, robot) => {
-    if (!goal || chosen !== null && robot !== chosen || at[2 * robot] !== at[2 * robot]) return;
+    if (!goal || chosen !== null && robot !== chosen) return;
+    if (ways[robot]) {
+      // Which of them the robot has passed only its host knows.
+      [...ways[robot], goal].forEach(([x, y], k) => k ? pen.lineTo(x, y) : pen.moveTo(x, y));
+      return;
+    }
+    if (at[2 * robot] !== at[2 * robot]) return;
     pen.moveTo(at[2 * robot], at[2 * robot + 1]); pen.lineTo(goal[0], goal[1]);
   });
   pen.stroke();

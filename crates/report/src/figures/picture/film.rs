@@ -6,6 +6,7 @@ use super::scene::{Scan, Scene, SceneFrame};
 use super::sheet::{LOOK, escaped, walls};
 use murmurate::messages::geometry::Vec2;
 use murmurate::scenario::Solid;
+use murmurate::scenario::course::Course;
 use murmurate::time::Span;
 
 /// HTML of the page, with `{title}`, `{look}` and `{data}` to be filled in.
@@ -72,6 +73,7 @@ fn json(scene: &Scene, stride: usize) -> String {
         "arrival": mm(stage.rules.arrival_m),
         "walls": walls,
         "goals": stage.tasks.iter().map(|task| point(task.goal)).collect::<Vec<_>>(),
+        "waypoints": stage.courses.iter().map(waypoints).collect::<Vec<_>>(),
         "unlabelled": stage.goals.are_unlabelled(),
         "arrivals": scene.arrivals().into_iter().map(|at| at.map(ms)).collect::<Vec<_>>(),
         "window": ms(stage.window),
@@ -86,6 +88,11 @@ fn json(scene: &Scene, stride: usize) -> String {
     });
     // A closing script tag would end the script, even within a string.
     data.to_string().replace('<', "\\u003c")
+}
+
+/// Returns the waypoints of a robot in integer millimetres.
+fn waypoints(course: &Course) -> Vec<[i64; 2]> {
+    course.waypoints().iter().map(|at| point(*at)).collect()
 }
 
 /// Returns the scans of each frame: for each, the number of the robot, the place of the sense \[mm\], and the place of

@@ -11,6 +11,7 @@ use murmurate::observation::Sweep;
 use murmurate::results::episode::Episode;
 use murmurate::results::sensing::Sensing;
 use murmurate::results::totals::{Hearing, Step};
+use murmurate::scenario::course::Course;
 use murmurate::scenario::judge::{Judge, JudgedRobot, Verdict};
 use murmurate::scenario::{Arena, Cost, Goals, Rules, goals};
 use murmurate::time::{Span, Time};
@@ -47,6 +48,8 @@ pub struct Backdrop<'a> {
     pub window: Span,
     /// Start and goal of every robot.
     pub tasks: &'a [Task],
+    /// Course of every robot through its waypoints.
+    pub courses: Vec<Course>,
     /// Chassis of every robot.
     pub chassis: Vec<Chassis>,
     /// Directions of the rays of each sense of the robots; `None` for one whose values are no distances.
@@ -55,12 +58,18 @@ pub struct Backdrop<'a> {
 
 impl Backdrop<'_> {
     /// Returns for each goal whether it is reached by robots whose points are at `points` \[m\], world frame. That of a
-    /// robot's own task also is if it was `before`.
-    fn reached(&self, points: &[Vec2], before: &[bool]) -> Vec<bool> {
+    /// robot's own task also is if it was `before`, and is not before the robot has passed its course, which this
+    /// follows.
+    fn reached(&self, points: &[Vec2], courses: &mut [Course], before: &[bool]) -> Vec<bool> {
         let (goals, arrival_m) = (self.tasks.iter().map(|task| task.goal), self.rules.arrival_m);
         match self.goals {
             Goals::Labelled => {
-                let near = goals.zip(points).map(|(goal, point)| (goal - point).norm() <= arrival_m);
+                for (course, point) in courses.iter_mut().zip(points) {
+                    course.pass(*point, arrival_m);
+                }
+                let robots = goals.zip(points).zip(courses);
+                let near =
+                    robots.map(|((goal, point), course)| course.is_through() && (goal - point).norm() <= arrival_m);
                 near.zip(before).map(|(near, before)| near || *before).collect()
             }
             Goals::Unlabelled => goals::held(goals, points.iter().copied(), arrival_m),
@@ -168,7 +177,8 @@ impl<'a> Scene<'a> {
             (None, _) => steps.first().map_or(Time::ZERO, time),
         };
         let mut judge = Judge::new(stage.rules, stage.tasks.iter().map(|task| task.goal).collect());
-        judge = judge.with_cost(stage.cost).with_goals(stage.goals);
+        judge = judge.with_cost(stage.cost).with_goals(stage.goals).with_courses(stage.courses.clone());
+        let mut courses = stage.courses.clone();
         let (mut frames, mut contact, mut arrived): (Vec<SceneFrame>, _, _) =
             (Vec::new(), None, vec![false; stage.tasks.len()]);
         frames.extend(before.map(|step| frame(&stage, Span::ZERO, step)));
@@ -185,7 +195,7 @@ impl<'a> Scene<'a> {
                 })
                 .collect();
             let points: Vec<Vec2> = seen.iter().map(|seen| seen.point).collect();
-            arrived = stage.reached(&points, &arrived);
+            arrived = stage.reached(&points, &mut courses, &arrived);
             let over = judge.update(after, &seen).is_some();
             let touches = contact.is_none().then(|| touching(&stage, after, &seen)).flatten();
             let due = frames.last().is_none_or(|last| last.time + FRAME <= after);
@@ -219,9 +229,9 @@ impl<'a> Scene<'a> {
     /// unlabelled, the time from which on it has a robot until the end. `None` if there is no such time.
     pub fn arrivals(&self) -> Vec<Option<Span>> {
         let mut arrivals = vec![None; self.stage.tasks.len()];
-        let mut reached = vec![false; arrivals.len()];
+        let (mut reached, mut courses) = (vec![false; arrivals.len()], self.stage.courses.clone());
         for frame in &self.frames {
-            reached = self.stage.reached(&frame.points, &reached);
+            reached = self.stage.reached(&frame.points, &mut courses, &reached);
             for (arrival, reached) in arrivals.iter_mut().zip(&reached) {
                 *arrival = reached.then(|| arrival.unwrap_or(frame.time));
             }
@@ -406,6 +416,7 @@ mod tests {
             radius_m: 0.16,
             window: Span::from_millis(200),
             tasks: &tasks,
+            courses: vec![Course::default(); 2],
             chassis: vec![Chassis::default(); 2],
             sweeps: Vec::new(),
         };
@@ -443,6 +454,14 @@ mod tests {
         let unlabelled = Scene::new(unlabelled, &Episode { verdict: Verdict::Timeout, ..episode }, &steps);
         assert_eq!(unlabelled.arrivals(), [100, 150].map(|ms| Some(Span::from_millis(ms))));
         assert_eq!(unlabelled.ending.text, "Failure: timeout; 0 of 2 goals have no robot");
+
+        // Robot 1 passes 0.8 m before its goal at 1.5 m; robot 0 has its waypoint behind it from the start.
+        let courses = [0.0, 0.6].map(|x| Course::new(vec![Vec2::new(x, 0.0)])).to_vec();
+        let through = Scene::new(Backdrop { courses, ..scene.stage.clone() }, &episode, &steps);
+        assert_eq!(through.arrivals(), [100, 150].map(|ms| Some(Span::from_millis(ms))));
+        let courses = [2.0, 0.6].map(|x| Course::new(vec![Vec2::new(x, 0.0)])).to_vec();
+        let missed = Scene::new(Backdrop { courses, ..scene.stage.clone() }, &episode, &steps);
+        assert_eq!(missed.arrivals()[0], None, "a goal counts after the waypoints alone");
 
         let reason = Some(AbortReason { cause: AbortCause::Missing, robot: Some(RobotId(1)), others: 0 });
         let aborted = Episode { verdict: Verdict::Aborted, reason, ..episode };

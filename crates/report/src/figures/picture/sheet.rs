@@ -4,7 +4,8 @@
 use std::fmt::Write as _;
 
 use super::scene::{Backdrop, Scene};
-use murmurate::messages::geometry::Vec2;
+use murmurate::messages::geometry::{Task, Vec2};
+use murmurate::scenario::course::Course;
 use murmurate::scenario::{KeepOut, Solid};
 
 /// CSS style sheet of the pictures of episodes: colours of light and dark schemes, of robots (Okabe and Ito, which
@@ -33,6 +34,8 @@ const NARROWEST: f32 = 860.0;
 
 /// Assumed width of a letter in the legend \[pixels\]; the true width depends on the viewer's font.
 const LETTER: f32 = 9.8;
+/// Radius of the dot of a waypoint \[pixels\].
+const DOT_PX: f32 = 4.0;
 
 /// Replaces the characters of a text that XML reserves by their entities.
 pub fn escaped(text: &str) -> String {
@@ -208,9 +211,25 @@ pub fn goals(view: &View, scene: &Scene, stay: bool, more: impl Fn(usize) -> Str
         let unlabelled = stage.goals.are_unlabelled();
         let whose = if stay && covered || unlabelled { "" } else { &whose };
         let colour = if unlabelled { UNLABELLED } else { robot % COLOURS };
-        let _ = writeln!(text, "<g class=\"c{colour}\">{ring}{whose}</g>");
+        let course = course(view, task, &stage.courses[robot]);
+        let _ = writeln!(text, "<g class=\"c{colour}\">{course}{ring}{whose}</g>");
     }
     text
+}
+
+/// Returns the SVG element of a robot's course: a dotted line from its start through its waypoints to its goal; nothing
+/// without waypoints.
+fn course(view: &View, task: &Task, course: &Course) -> String {
+    if course.waypoints().is_empty() {
+        return String::new();
+    }
+    let points = [task.start].into_iter().chain(course.waypoints().iter().copied()).chain([task.goal]);
+    let points: Vec<String> = points.map(|at| view.at(at)).map(|at| format!("{} {}", px(at.x), px(at.y))).collect();
+    let dots = course.waypoints().iter().map(|at| view.circle("dot", *at, DOT_PX / view.scale, "")).collect::<String>();
+    format!(
+        "<path class=\"goal\" d=\"M{}\" stroke-width=\"2\" stroke-dasharray=\"1 6\" stroke-opacity=\"0.7\"/>{dots}",
+        points.join("L")
+    )
 }
 
 /// Returns the legend's entry for goals: its mark (SVG), the width of the mark \[pixels\] and its text.
