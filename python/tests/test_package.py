@@ -144,10 +144,10 @@ def test_a_lidar_scans_what_is_about_each_robot(tmp_path):
         with pytest.raises(ValueError, match=f"^senses.eyes.{field}"):
             VecEnv("swap", senses=senses(text))
     tasks = pathlib.Path(__file__).parents[2] / "examples/tasks"
-    field = str(tasks / "navigation-lidar.toml")
-    assert VecEnv(field, 2).scan.shape == (2, 8, 16), "the task file has a lidar"
+    field = str(tasks / "navigation.toml")
+    assert VecEnv(field, 2).scan.shape == (2, 8, 24), "the task file has a lidar"
     assert VecEnv(field, 2, senses=senses(lidar.replace("16", "4"))).scan.shape == (2, 8, 4)
-    assert VecEnv(str(tasks / "navigation.toml"), 2).scan.shape == (2, 8, 0)
+    assert VecEnv(str(tasks / "four-rooms.toml"), 2).scan.shape == (2, 6, 0)
 
 
 def test_late_messages_are_those_of_the_medium_that_is_asked_for():

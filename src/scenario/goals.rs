@@ -89,9 +89,9 @@ pub fn channel(robots: usize) -> Channel {
     Channel::new(CHANNEL, "from the robot to each goal of the team, in an order of their places", form, write)
 }
 
-/// Returns the channel [`NEAREST`]: from the robot to each of the [`NEAREST_GOALS`] goals that are nearest to it \[m\],
-/// \[4, 2\], the nearest first. In a smaller team the farthest goal is there several times. They are unknown while a goal
-/// of the team is.
+/// Returns the channel [`NEAREST`]: from the robot to the [`NEAREST_GOALS`] goals that are nearest to it \[m\], \[4,
+/// 2\], the nearest first. In a smaller team the farthest goal is there several times. They are unknown while a goal of
+/// the team is.
 pub fn nearest() -> Channel {
     let form = (vec![NEAREST_GOALS, 2], Unit::Metre, Quantity::Vector);
     Channel::new(

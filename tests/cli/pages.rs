@@ -207,6 +207,8 @@ impl Sandbox {
 /// A training configuration that takes no time.
 fn small_training() -> String {
     let mut config = Config::preset("robust").expect("it is a preset");
+    // Those of its groups; the default team of a task file may be another.
+    config.robots = Some(5);
     (config.ppo.environments, config.ppo.decisions, config.ppo.minibatch) = (40, 4, 80);
     (config.policy.encoder, config.policy.update) = (vec![6, 6], vec![8]);
     config.policy.message = vec![8, 8];

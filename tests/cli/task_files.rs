@@ -41,7 +41,7 @@ fn a_task_is_checked_and_what_cannot_work_is_named() {
     for expected in ["cannot work: walls: no robot gets", "cannot work: goals: no way leads", "scripted_success: "] {
         assert!(said.contains(expected), "{said}");
     }
-    let output = run(&["task", "check", "examples/tasks/navigation-lidar.toml", "--layouts", "1", "--json"]);
+    let output = run(&["task", "check", "examples/tasks/navigation.toml", "--layouts", "1", "--json"]);
     assert_eq!(json(&output)["senses"], serde_json::json!(["eyes"]));
     let nose = "\n[senses.nose]\nkind = \"nose\"\n";
     let nose = file(&folder, "nose.toml", &format!("{TEXT}{nose}"));
@@ -54,7 +54,7 @@ fn a_task_is_checked_and_what_cannot_work_is_named() {
     let output = run(&[&late[..], &["--loss", "0.16", "--layouts", "3", "--json"]].concat());
     let checked = json(&output);
     assert_eq!((&checked["successes"], &checked["robots"]), (&3.into(), &5.into()), "{checked}");
-    let apart = std::fs::read_to_string("examples/tasks/unlabelled-table.toml").expect("the example is there");
+    let apart = include_str!("../../examples/tasks/unlabelled-table.toml");
     let wall = "hull_m = 0.07\nwalls = [{ rect = [-1.54, -0.05, 1.54, 0.05] }]";
     let apart = file(&folder, "apart.toml", &apart.replace("hull_m = 0.07", wall));
     let said = text(&run(&["task", "check", &apart, "--layouts", "1"]).stdout);

@@ -148,6 +148,11 @@ fn wrong_flags_files_and_folders_are_refused_in_one_line() {
     refused(&["--steps", "5", "--resume"], &["cannot resume", "checkpoint.bin"]);
     refuses(&["train", "passage", "--steps", "5", "--out", &out, "--preset", "best"], &["best", "published", "robust"]);
     refuses(&["train", "ballet", "--steps", "5", "--out", &out], &["ballet", "passage"]);
+    let unlabelled = "examples/tasks/unlabelled.toml";
+    refuses(
+        &["train", unlabelled, "--steps", "5", "--out", &out],
+        &["goals are unlabelled", "\"near-goals\", shape = [4, 2]"],
+    );
     refuses(&["train", "passage", "--steps", "5"], &["--out"]);
     refuses(
         &["train", "swap", "--config", &config, "--steps", "5", "--out", &out],

@@ -30,6 +30,7 @@ mod shell;
 mod skip;
 mod steps;
 mod task_files;
+mod trained_tasks;
 mod transports;
 mod unlabelled;
 mod users;

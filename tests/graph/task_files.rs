@@ -16,12 +16,11 @@ use murmurate::trial::Trial;
 use toml::{Table, Value};
 
 const FOUR_ROOMS: &str = include_str!("../../examples/tasks/four-rooms.toml");
-const LIDAR: &str = include_str!("../../examples/tasks/navigation-lidar.toml");
+const NAVIGATION: &str = include_str!("../../examples/tasks/navigation.toml");
 /// The other tasks of the library.
-const LIBRARY: [&str; 7] = [
+const LIBRARY: [&str; 6] = [
     include_str!("../../examples/tasks/errands.toml"),
-    include_str!("../../examples/tasks/navigation.toml"),
-    LIDAR,
+    NAVIGATION,
     include_str!("../../examples/tasks/unlabelled.toml"),
     include_str!("../../examples/tasks/unlabelled-table.toml"),
     include_str!("../../examples/tasks/warehouse.toml"),
@@ -172,13 +171,13 @@ fn what_cannot_be_is_refused_by_its_field() {
 
 #[test]
 fn robots_have_the_senses_of_the_task_unless_their_team_says_others() {
-    let task = TaskFile::read(LIDAR).expect("it is sound");
+    let task = TaskFile::read(NAVIGATION).expect("it is sound");
     let scenario = task.scenario(&Settings::of(4)).expect("it is sound");
     let preset = |mode| Deployment::preset(mode, 4).expect("a preset");
     let trial = Trial::new(preset("onboard-adhoc"), scenario.clone(), Model::Orca);
     trial.check().expect("it is sound");
     let rays = |trial: &Trial| trial.sense_layouts().iter().map(|(_, layout)| layout.floats()).collect::<Vec<_>>();
-    assert_eq!(rays(&trial), [16]);
+    assert_eq!(rays(&trial), [24]);
     let carries = |link: &murmurate::deploy::Link| link.carries.contains(&Kind::Sensed);
     assert!(trial.deployment.links.iter().any(carries), "what robots perceive crosses hosts");
     assert_eq!(trial.deployment.clone().for_task(Some(&task)), trial.deployment, "they are added once");
@@ -188,8 +187,13 @@ fn robots_have_the_senses_of_the_task_unless_their_team_says_others() {
     let registry = Registry::builtin().with_task("mine.toml", task);
     let team = |senses: &str| {
         let text = format!("team = 1\nmode = \"offboard\"\nscenario = \"mine.toml\"\n{senses}");
-        let file =
-            TeamFile::read(&registry.clone().reading_tasks(|_| Ok(LIDAR.to_owned())), &text, Path::new(""), &[], &[]);
+        let file = TeamFile::read(
+            &registry.clone().reading_tasks(|_| Ok(NAVIGATION.to_owned())),
+            &text,
+            Path::new(""),
+            &[],
+            &[],
+        );
         file.expect("it is sound").deployment().senses["eyes"].kind.clone()
     };
     assert_eq!(team(""), "lidar");
@@ -200,10 +204,10 @@ fn robots_have_the_senses_of_the_task_unless_their_team_says_others() {
 fn senses_of_a_task_that_the_program_does_not_have_are_refused_by_their_names() {
     for (from, to, expected) in [
         ("\"lidar\"", "\"nose\"", "senses.eyes.kind: there is no kind of sense 'nose'"),
-        ("rays = 16", "rays = 0", "senses.eyes.rays: 0 is not"),
+        ("rays = 24", "rays = 0", "senses.eyes.rays: 0 is not"),
         ("noise_m", "colour", "senses.eyes.colour: unknown field"),
     ] {
-        let task = TaskFile::read(&LIDAR.replace(from, to)).expect("kinds are those of a registry");
+        let task = TaskFile::read(&NAVIGATION.replace(from, to)).expect("kinds are those of a registry");
         let error = Registry::builtin().check_senses(&task).expect_err(expected).to_string();
         assert!(error.starts_with(expected), "{error}");
     }

@@ -203,11 +203,11 @@ fn a_training_takes_the_senses_of_its_task_file_that_its_policy_names() {
     (config.policy.encoder, config.policy.message, config.policy.update) = (vec![8, 8], vec![12, 12, 12], vec![12]);
     config.policy.observation = serde_json::from_str(
         r#"["goal-minus-position", "velocity",
-            {"name": "eyes", "shape": [16], "unit": "m", "frame": "policy", "stale_after_s": 0.12}]"#,
+            {"name": "eyes", "shape": [24], "unit": "m", "frame": "policy", "stale_after_s": 0.12}]"#,
     )
     .expect("they are entries");
     config.robots = Some(5);
-    let task = include_str!("../../examples/tasks/navigation-lidar.toml");
+    let task = include_str!("../../examples/tasks/navigation.toml");
     let begin = |text: &str, config: &Config| {
         let registry = Registry::builtin().with_task_text("field.toml", text).expect("it is sound");
         let config = config.clone();
@@ -225,6 +225,6 @@ fn a_training_takes_the_senses_of_its_task_file_that_its_policy_names() {
     // A sense that the policy does not take may be of any kind.
     let camera = "\n[senses.camera]\nkind = \"relative\"\nmost = 3\nrange_m = 1.0\n";
     begin(&format!("{task}{camera}"), &config).expect("it is sound");
-    let late = begin(&task.replace("rays = 16", "rays = 16\nrate_hz = 5.0"), &config).expect_err("it has a rate");
+    let late = begin(&task.replace("rays = 24", "rays = 24\nrate_hz = 5.0"), &config).expect_err("it has a rate");
     assert!(late.to_string().contains("senses.eyes.rate_hz"), "{late}");
 }

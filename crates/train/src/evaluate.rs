@@ -126,7 +126,7 @@ impl Scores {
 }
 
 /// Evaluates a training's current policy on `episodes` layouts of a fixed seed, independent of the layouts of the
-/// training: with both methods of drawing actions, and with disturbed conditions if the training has any.
+/// training: with both methods of drawing actions, and in those conditions that the training has.
 pub fn quick_evaluation(trainer: &Trainer, episodes: u32, threads: usize) -> Scores {
     let own = trainer.settings().config.policy.draw;
     let other = if own == Draw::Mean { Draw::Sample } else { Draw::Mean };
@@ -151,7 +151,9 @@ fn evaluation(trainer: &Trainer, draws: &[Draw], episodes: u32, threads: usize) 
     for &draw in draws {
         let (parameters, scenario) = (trainer.parameters(), trainer.scenario());
         let evaluation = Evaluation { settings: &settings, parameters, scenario, seed: QUICK_SEED, episodes, draw };
-        scores.push(Score::of("perfect", draw, &evaluation.run(|_| EpisodeConditions::perfect(robots), threads)));
+        if config.conditions.clean > 0.0 {
+            scores.push(Score::of("perfect", draw, &evaluation.run(|_| EpisodeConditions::perfect(robots), threads)));
+        }
         if config.conditions.clean < 1.0 || config.conditions.deployed > 0.0 {
             scores.push(Score::of("disturbed", draw, &evaluation.run(disturbed, threads)));
         }

@@ -78,8 +78,7 @@ fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
     if scenario.is_some_and(|scenario| scenario.goals().are_unlabelled()) && !sees_goals(&config) {
         return Err(BadInput(format!(
             "{}: its goals are unlabelled, and policy.observation has the goal of the robot's own task alone. In its \
-             place put {{ name = \"{}\", shape = [{}, 2], unit = \"m\", frame = \"policy\" }}, or see \
-             policies/unlabelled.toml",
+             place put {{ name = \"{}\", shape = [{}, 2], unit = \"m\", frame = \"policy\" }}",
             args.scenario,
             goals::NEAREST,
             goals::NEAREST_GOALS,

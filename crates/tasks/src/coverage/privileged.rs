@@ -134,15 +134,15 @@ mod tests {
 
     #[test]
     fn the_centralised_one_knows_what_others_have_seen_until_the_next_episode() {
-        let (at, near_mean, mean) = (Vec2::new(0.3, -0.8), Vec2::new(-0.5, 0.5), [-0.5, 0.5]);
+        let (at, near_mean, mean) = (Vec2::new(0.2, 0.9), Vec2::new(-0.6, 0.4), [-0.6, 0.4]);
         let mut centralised = policy(Baseline::Centralised);
         act(&mut centralised, at, &mean, &[near_mean]);
         // The other one has gone: what it saw is in this robot's cell.
-        let way = act(&mut centralised, at, &mean, &[Vec2::new(0.9, -0.9)]);
-        let expected = Vec2::new(-0.5, 0.5) - at;
+        let way = act(&mut centralised, at, &mean, &[Vec2::new(0.7, -0.9)]);
+        let expected = near_mean - at;
         assert!((way / way.norm() - expected / expected.norm()).norm() < 0.1, "{way:?}");
         centralised.reset(1);
-        let after = act(&mut centralised, at, &mean, &[Vec2::new(0.9, -0.9)]);
+        let after = act(&mut centralised, at, &mean, &[Vec2::new(0.7, -0.9)]);
         assert!((way - after).norm() > 0.03, "{after:?}");
     }
 
