@@ -6,12 +6,12 @@ column `onboard-adhoc` for other teams and gaps; and five robots with more lag, 
     python3 policies/judge.py FILE [--program target/release/murmurate] [--layouts 2000] [--out FOLDER]
 """
 
-import argparse
-import hashlib
 import json
 import pathlib
 import subprocess
 import tempfile
+
+from judging import chosen, parser
 
 SIZES = [2, 3, 4, 6, 8, 10, 12]
 GAPS = [(5, 0.8), (5, 1.2), (8, 0.8), (8, 1.2)]
@@ -31,14 +31,11 @@ def run(args: list[str]) -> bytes:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("policy", type=pathlib.Path)
-    parser.add_argument("--program", default="target/release/murmurate")
-    parser.add_argument("--layouts", type=int, default=2000)
-    parser.add_argument("--out", type=pathlib.Path, help="folder that keeps the studies")
-    given = parser.parse_args()
-    digest = hashlib.sha256(given.policy.read_bytes()).hexdigest()
-    seed = int(digest[:8], 16)
+    flags = parser(__doc__)
+    flags.add_argument("--layouts", type=int, default=2000)
+    flags.add_argument("--out", type=pathlib.Path, help="folder that keeps the studies")
+    given = flags.parse_args()
+    digest, seed = chosen(given.policy)
     out = given.out or pathlib.Path(tempfile.mkdtemp(prefix="judge-"))
     print(f"`{given.policy.name}`, SHA-256 {digest[:16]}..., seed {seed}, {given.layouts} layouts a row\n")
     print("| what | handling | success [%] | 95 % | median makespan |\n|---|---|---|---|---|")

@@ -7,14 +7,12 @@ samples of the worlds, drawn in pairs. The baselines that know more than a robot
     python3 policies/judge_coverage.py FILE [--scenario coverage] [--program target/release/murmurate] [--worlds 100] [--jobs 2]
 """
 
-import argparse
 import concurrent.futures
-import hashlib
-import json
 import pathlib
 import random
 import statistics
-import subprocess
+
+from judging import chosen, parser, sim
 
 BASELINE = "coverage-cvt"
 OTHERS = ["coverage-centralised", "coverage-clairvoyant"]
@@ -37,24 +35,19 @@ def interval(own: list[float], other: list[float]) -> tuple[float, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("policy", type=pathlib.Path)
-    parser.add_argument("--scenario", default="coverage")
-    parser.add_argument("--program", default="target/release/murmurate")
-    parser.add_argument("--worlds", type=int, default=100)
-    parser.add_argument("--jobs", type=int, default=2)
-    given = parser.parse_args()
-    digest = hashlib.sha256(given.policy.read_bytes()).hexdigest()
-    first = int(digest[:8], 16)
+    flags = parser(__doc__)
+    flags.add_argument("--scenario", default="coverage")
+    flags.add_argument("--worlds", type=int, default=100)
+    flags.add_argument("--jobs", type=int, default=2)
+    given = flags.parse_args()
+    digest, first = chosen(given.policy)
     print(f"`{given.policy.name}`, SHA-256 {digest[:16]}..., {given.worlds} worlds, seeds from {first}\n")
     print("| conditions | policy | mean cost [m²] | ratio to the decentralised baseline | 95 % | cheaper worlds | not completed |")
     print("|---|---|---|---|---|---|---|")
 
-    def run(policy: str, flags: list[str], world: int) -> dict:
-        text = subprocess.run([given.program, "sim", "--scenario", given.scenario, "--policy", policy, "--episodes", "1",
-                               "--repeats", "1", "--jobs", "1", "--seed", str(first + world), "--json", *flags],
-                              check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL).stdout
-        return json.loads(text)
+    def run(policy: str, mode: list[str], world: int) -> dict:
+        return sim(given.program, "--scenario", given.scenario, "--policy", policy, "--episodes", "1", "--jobs", "1",
+                   "--seed", str(first + world), *mode)
 
     lockstep = next(iter(MODES))
     rows = [(conditions, policy) for conditions in MODES for policy in [BASELINE, str(given.policy)]]

@@ -8,48 +8,26 @@ Each layout is a run of one episode, so that both policies have the same starts 
 FLAGS are further flags of `sim`, such as `--robots 12`.
 """
 
-import argparse
 import concurrent.futures
-import hashlib
-import json
-import math
-import pathlib
 import statistics
-import subprocess
 import sys
 
-CONDITIONS = ("--mode onboard-adhoc --lag-s 0.5 --delay-ms 20 --loss 0.16 --contacts judge --wall-radius-m 0.16 "
-              "--clamp deployed --safety deployed --episodes 1 --repeats 1 --json").split()
-
-
-def wilson(successes: int, episodes: int) -> str:
-    """Wilson's 95 % interval, in percent."""
-    z, share = 1.96, successes / episodes
-    middle = share + z * z / 2 / episodes
-    half = z * math.sqrt(share * (1 - share) / episodes + z * z / 4 / episodes**2)
-    scale = 100 / (1 + z * z / episodes)
-    return f"{scale * (middle - half):.1f} to {scale * (middle + half):.1f}"
+from judging import CONDITIONS, chosen, parser, sim, wilson
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("policy", type=pathlib.Path)
-    parser.add_argument("task")
-    parser.add_argument("--program", default="target/release/murmurate")
-    parser.add_argument("--layouts", type=int, default=2000)
-    parser.add_argument("--against", default="orca")
-    parser.add_argument("--jobs", type=int, default=2)
-    own, _, flags = " ".join(sys.argv[1:]).partition(" -- ")
-    given = parser.parse_args(own.split())
-    digest = hashlib.sha256(given.policy.read_bytes()).hexdigest()
-    first = int(digest[:8], 16)
+    flags = parser(__doc__)
+    flags.add_argument("task")
+    flags.add_argument("--layouts", type=int, default=2000)
+    flags.add_argument("--against", default="orca")
+    flags.add_argument("--jobs", type=int, default=2)
+    end = sys.argv.index("--") if "--" in sys.argv else len(sys.argv)
+    given, more = flags.parse_args(sys.argv[1:end]), sys.argv[end + 1 :]
+    digest, first = chosen(given.policy)
 
     def run(policy: str, seed: int) -> dict:
-        found = subprocess.run([given.program, "sim", "--scenario", given.task, "--policy", policy, "--seed", str(seed),
-                                *CONDITIONS, *flags.split()], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        if not found.stdout:
-            raise SystemExit(found.stderr)
-        return json.loads(found.stdout)
+        return sim(given.program, "--scenario", given.task, "--policy", policy, "--seed", str(seed), "--episodes", "1",
+                   *CONDITIONS, *more)
 
     def runs(policy: str) -> list[dict]:
         with concurrent.futures.ThreadPoolExecutor(given.jobs) as pool:

@@ -13,10 +13,16 @@ import argparse
 import json
 import struct
 import sys
+import tempfile
 import time
 
 import torch
 import vmas
+
+try:
+    from benchmarl.experiment import Callback
+except ImportError:
+    Callback = object
 
 STEP_S, DRAG = 0.1, 0.25
 
@@ -76,24 +82,29 @@ def of_file(path):
     return act
 
 
+class Budget(Callback):
+    """Ends a training by `TimeoutError` once it has used so many seconds of processor time, and counts its frames."""
+
+    def __init__(self, seconds):
+        super().__init__()
+        self.end, self.frames = time.process_time() + seconds, 0
+
+    def on_batch_collected(self, batch):
+        self.frames += batch.numel()
+
+    def on_train_end(self, training_td, group):
+        if time.process_time() >= self.end:
+            raise TimeoutError
+
+
 def of_mappo(minutes, robots):
     """MAPPO of BenchMARL with the settings of its fine-tuned example for VMAS, for so many minutes of processor time."""
     from benchmarl.algorithms import MappoConfig
     from benchmarl.environments import VmasTask
-    from benchmarl.experiment import Callback, Experiment, ExperimentConfig
+    from benchmarl.experiment import Experiment, ExperimentConfig
     from benchmarl.models.mlp import MlpConfig
     from tensordict import TensorDict
     from torchrl.envs.utils import ExplorationType, set_exploration_type
-
-    class Budget(Callback):
-        frames = 0
-
-        def on_batch_collected(self, batch):
-            self.frames += batch.numel()
-
-        def on_train_end(self, training_td, group):
-            if time.process_time() - began >= 60 * minutes:
-                raise TimeoutError
 
     config = ExperimentConfig.get_from_yaml()
     config.sampling_device = config.train_device = config.buffer_device = "cpu"
@@ -108,8 +119,9 @@ def of_mappo(minutes, robots):
     algorithm = MappoConfig.get_from_yaml()
     algorithm.share_param_critic, algorithm.entropy_coef, algorithm.critic_coef, algorithm.lmbda = True, 0, 1, 0.9
     network = MlpConfig(num_cells=[256, 256], layer_class=torch.nn.Linear, activation_class=torch.nn.Tanh)
-    budget = Budget()
+    config.save_folder = tempfile.mkdtemp()
     began = time.process_time()
+    budget = Budget(60 * minutes)
     experiment = Experiment(task=task, algorithm_config=algorithm, model_config=network, critic_model_config=network, seed=0,
                             config=config, callbacks=[budget])
     try:

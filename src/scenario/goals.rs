@@ -103,9 +103,7 @@ pub fn nearest() -> Channel {
 }
 
 fn near(known: &Known, values: &mut [f32]) {
-    let Some(goals) = in_order(known.team) else { return values.fill(f32::NAN) };
-    let mut ways: Vec<Vec2> =
-        goals.into_iter().map(|goal| known.own.frame.turn(goal) - known.own.motion.position).collect();
+    let Some(mut ways) = ways(known) else { return values.fill(f32::NAN) };
     ways.sort_by(|one, other| one.norm_squared().total_cmp(&other.norm_squared()));
     for (index, pair) in values.chunks_exact_mut(2).enumerate() {
         pair.copy_from_slice(ways[index.min(ways.len() - 1)].as_slice());
@@ -113,10 +111,17 @@ fn near(known: &Known, values: &mut [f32]) {
 }
 
 fn write(known: &Known, values: &mut [f32]) {
-    let Some(goals) = in_order(known.team) else { return values.fill(f32::NAN) };
-    for (pair, goal) in values.chunks_exact_mut(2).zip(goals) {
-        pair.copy_from_slice((known.own.frame.turn(goal) - known.own.motion.position).as_slice());
+    let Some(ways) = ways(known) else { return values.fill(f32::NAN) };
+    for (pair, way) in values.chunks_exact_mut(2).zip(ways) {
+        pair.copy_from_slice(way.as_slice());
     }
+}
+
+/// Returns the ways from the robot to the goals of its team \[m\], policy frame, in the order of their places; `None`
+/// while a goal is unknown.
+fn ways(known: &Known) -> Option<Vec<Vec2>> {
+    let way = |goal| known.own.frame.turn(goal) - known.own.motion.position;
+    Some(in_order(known.team)?.into_iter().map(way).collect())
 }
 
 /// Returns the goals of a team \[m\], world frame, in the order of their x, then y; `None` while one is unknown.

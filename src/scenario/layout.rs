@@ -48,7 +48,7 @@ pub enum LayoutError {
     Drawn {
         /// Name of the scenario.
         scenario: String,
-        /// What it draws, as a word.
+        /// Word for the things that are drawn, such as `obstacles`.
         what: &'static str,
     },
     /// An episode has a wrong number of robots, or a start or goal that no robot can have.

@@ -95,6 +95,12 @@ fn four_rooms_have_four_doors_and_every_robot_changes_its_room() {
     }
 }
 
+/// Asserts that a task file with these lines is refused with these words.
+fn refused((lines, expected): &(String, &str)) {
+    let found = error(&file(lines)).unwrap_or_else(|| panic!("not refused: {lines}"));
+    assert!(found.contains(expected), "{lines}\n{found}");
+}
+
 #[test]
 fn what_cannot_be_is_refused_by_its_field() {
     let sides = "start = { disc = [0.0, -1.7, 1.0] }\ngoal = { rect = [-1.5, 0.7, 1.5, 2.5] }";
@@ -105,16 +111,6 @@ fn what_cannot_be_is_refused_by_its_field() {
         (format!("{sides}\nunlabelled = true"), "unlabelled: unknown field"),
         (format!("{sides}\ngoals = \"free\""), "goals: unknown variant, expected `labelled` or `unlabelled`"),
         (format!("{sides}\nsenses.eyes = {{ rays = 3 }}"), "senses.eyes.kind: it is missing"),
-        (
-            format!("{sides}\nwaypoints = [{{ points = [[0, 9]] }}]"),
-            "waypoints[0]: no robot fits there beside the goals",
-        ),
-        (format!("{sides}\nwaypoints = [{{ disc = [0, 0, 0] }}]"), "waypoints[0].disc[2]: 0 is not"),
-        (
-            format!("{sides}\nwaypoints = [{{ disc = [0, 0, 1] }}]\ngoals = \"unlabelled\""),
-            "waypoints: a robot passes them before its own goal",
-        ),
-        (format!("{sides}\nwaypoints = [{}]", "{ points = [[0, 0]] }, ".repeat(17)), "waypoints: there are 17"),
         ("places = [[0, 0]]\ngoals = \"unlabelled\"".to_owned(), "places: robots would stand at unlabelled goals"),
         (
             format!("{sides}\nreward = {{ coverage = 1.0 }}"),
@@ -163,10 +159,25 @@ fn what_cannot_be_is_refused_by_its_field() {
             "obstacles[0]: there is no room",
         ),
     ];
-    for (lines, expected) in cases {
-        let found = error(&file(&lines)).unwrap_or_else(|| panic!("not refused: {lines}"));
-        assert!(found.contains(expected), "{lines}\n{found}");
-    }
+    cases.iter().for_each(refused);
+}
+
+#[test]
+fn waypoints_that_cannot_be_are_refused_by_their_place() {
+    let sides = "start = { disc = [0.0, -1.7, 1.0] }\ngoal = { rect = [-1.5, 0.7, 1.5, 2.5] }";
+    let cases = [
+        (
+            format!("{sides}\nwaypoints = [{{ points = [[0, 9]] }}]"),
+            "waypoints[0]: no robot fits there beside the goals",
+        ),
+        (format!("{sides}\nwaypoints = [{{ disc = [0, 0, 0] }}]"), "waypoints[0].disc[2]: 0 is not"),
+        (
+            format!("{sides}\nwaypoints = [{{ disc = [0, 0, 1] }}]\ngoals = \"unlabelled\""),
+            "waypoints: a robot passes them before its own goal",
+        ),
+        (format!("{sides}\nwaypoints = [{}]", "{ points = [[0, 0]] }, ".repeat(17)), "waypoints: there are 17"),
+    ];
+    cases.iter().for_each(refused);
 }
 
 #[test]

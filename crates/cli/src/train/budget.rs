@@ -78,8 +78,8 @@ impl Clock {
         let now = match self.budget {
             Budget::Minutes(minutes) => {
                 let [iteration_s, glance_s, evaluation_s, save_s] = self.longest_s;
-                // Files may be saved after the iteration and at the end.
-                let after_s = iteration_s + glance_s + evaluation_s + 2.0 * save_s;
+                // Files may be saved after the iteration, and are before and after the evaluation at the end.
+                let after_s = iteration_s + glance_s + evaluation_s + 3.0 * save_s;
                 // The first iteration is made, however short the time is.
                 let for_training_s = 60.0 * minutes - if iteration_s > 0.0 { after_s } else { 0.0 };
                 if elapsed_s >= for_training_s { 1.0 } else { elapsed_s / for_training_s }
@@ -123,7 +123,7 @@ mod tests {
             }
             evaluated = (20.0 * progress) as u32;
         }
-        (now_s + evaluation_s + save_s, iterations)
+        (now_s + evaluation_s + 2.0 * save_s, iterations)
     }
 
     #[test]

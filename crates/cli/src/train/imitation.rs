@@ -7,11 +7,10 @@ use plotters::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::budget::Budget;
-use super::course::{self, Past, Training};
 use super::curve::{SIZE, chart, smooth};
 use super::folder::Folder;
-use super::{Args, finish, plan};
-use murmurate::config::shown::counted;
+use super::training::{self, Training};
+use super::{Args, Report, finish, plan};
 use murmurate::config::{regular, unquoted};
 use murmurate::registry::Registry;
 use murmurate::scenario::Settings;
@@ -38,22 +37,6 @@ struct Row {
     collided: f64,
     gradient: f32,
     learning_rate: f32,
-}
-
-/// Result of a training, as it is printed.
-#[derive(Serialize)]
-struct Report<'a> {
-    policy: String,
-    scenario: &'a str,
-    preset: &'a str,
-    seed: u64,
-    decisions: u64,
-    iterations: u64,
-    wall_s: f64,
-    unit: &'a str,
-    /// Costs at the end of the training; null after an interruption.
-    evaluation: Option<&'a [Score]>,
-    interrupted: bool,
 }
 
 /// Returns whether the flags ask for training by imitation: by the preset, by the configuration file, or, if they name
@@ -150,6 +133,15 @@ struct ByImitation {
 impl Training for ByImitation {
     type Metrics = Metrics;
 
+    fn origin(&self) -> (&str, &str, u64) {
+        let plan = self.trainer.plan();
+        (&plan.scenario, &plan.preset, plan.seed)
+    }
+
+    fn iterations(&self) -> u64 {
+        self.trainer.iterations()
+    }
+
     fn decisions(&self) -> u64 {
         self.trainer.decisions()
     }
@@ -210,9 +202,10 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         training.save(&mut folder)?;
         training
     };
-    let Past { elapsed_s, interrupted } = course::run(&mut training, &mut folder, (budget, began), args)?;
-    let report = report(&folder, &training, (elapsed_s, interrupted));
-    finish(args, &report, table, interrupted)
+    let end = training::run(&mut training, &mut folder, (budget, began), args)?;
+    let unit = training.trainer.scenario().cost().map(|cost| cost.unit);
+    let report = Report { unit, ..Report::of(&training, (&folder, end), training.evaluation.as_deref()) };
+    finish(args, &report, table)
 }
 
 fn row(elapsed_s: f64, progress: f64, metrics: &Metrics) -> Row {
@@ -250,34 +243,11 @@ fn plot(scenario: &str, unit: &str, rows: &[Row]) -> Result<String> {
     Ok(svg)
 }
 
-/// Returns the result of the training.
-fn report<'a>(folder: &Folder, training: &'a ByImitation, (wall_s, interrupted): (f64, bool)) -> Report<'a> {
-    let trainer = &training.trainer;
-    let plan = trainer.plan();
-    Report {
-        policy: folder.policy().display().to_string(),
-        scenario: &plan.scenario,
-        preset: &plan.preset,
-        seed: plan.seed,
-        decisions: trainer.decisions(),
-        iterations: trainer.iterations(),
-        wall_s,
-        unit: trainer.scenario().cost().map_or("", |cost| cost.unit),
-        evaluation: training.evaluation.as_deref(),
-        interrupted,
-    }
-}
-
-fn table(report: &Report) -> String {
-    let Report { decisions, wall_s, preset, scenario, seed, unit, .. } = report;
-    let mut lines =
-        vec![format!("{} in {wall_s:.0} s; {preset} for '{scenario}', seed {seed}", counted(decisions, "decision"))];
-    for score in report.evaluation.into_iter().flatten() {
+fn table(report: &Report<[Score]>) -> String {
+    let unit = report.unit.unwrap_or_default();
+    let line = |score: &Score| {
         let (conditions, collided) = (score.conditions, 100.0 * score.collided);
-        lines.push(format!(
-            "{conditions:<10} cost [{unit}] {score}  collisions in {collided:.0} %  ({EPISODES} layouts)"
-        ));
-    }
-    lines.push(format!("policy {}", report.policy));
-    lines.join("\n")
+        format!("{conditions:<10} cost [{unit}] {score}  collisions in {collided:.0} %  ({EPISODES} layouts)")
+    };
+    report.text(report.evaluation.into_iter().flatten().map(line), None)
 }

@@ -2,17 +2,18 @@
 //! `murmurate_train`; `rewards` is the command for scenarios with goals, and `imitation` that for those without.
 
 mod budget;
-mod course;
 mod curve;
 mod folder;
 mod imitation;
 mod plan;
 mod rewards;
+mod training;
 
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::builder::PossibleValuesParser;
+use murmurate::config::shown::counted;
 use murmurate::registry::Registry;
 use murmurate_train::config::PRESETS;
 use murmurate_train::imitation::config::PRESETS as PRESETS_WITHOUT_GOALS;
@@ -24,6 +25,7 @@ use folder::Folder;
 use murmurate_robot::Ended;
 use murmurate_robot::output::{print, talk};
 pub use plan::with_radio;
+use training::{End, Training};
 
 /// Name of the preset of the training's configuration that is used without `--preset` and `--config`.
 const PRESET: &str = "robust";
@@ -111,6 +113,53 @@ enum Resume {
     IfThere,
 }
 
+/// Result of a training, as it is printed. `E` is that of the evaluation at its end.
+#[derive(Serialize)]
+struct Report<'a, E: Serialize + ?Sized> {
+    policy: String,
+    scenario: &'a str,
+    preset: &'a str,
+    seed: u64,
+    decisions: u64,
+    iterations: u64,
+    wall_s: f64,
+    /// Unit of the costs of the evaluation; none where it has none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    unit: Option<&'a str>,
+    /// Null after an interruption, because the program then ends without an evaluation.
+    evaluation: Option<&'a E>,
+    interrupted: bool,
+}
+
+impl<'a, E: Serialize + ?Sized> Report<'a, E> {
+    /// Returns the result of a training in `folder`, and of the `evaluation` at its end, which has no unit.
+    fn of(training: &'a impl Training, (folder, end): (&Folder, End), evaluation: Option<&'a E>) -> Report<'a, E> {
+        let (scenario, preset, seed) = training.origin();
+        Report {
+            policy: folder.policy().display().to_string(),
+            scenario,
+            preset,
+            seed,
+            decisions: training.decisions(),
+            iterations: training.iterations(),
+            wall_s: end.elapsed_s,
+            unit: None,
+            evaluation,
+            interrupted: end.interrupted,
+        }
+    }
+
+    /// Returns the report as lines of text. `evaluation` are those of the evaluation, `hints` those about it.
+    fn text(&self, evaluation: impl IntoIterator<Item = String>, hints: Option<String>) -> String {
+        let Report { policy, scenario, preset, seed, decisions, wall_s, .. } = self;
+        let decisions = counted(*decisions, "decision");
+        let head = format!("{decisions} in {wall_s:.0} s; {preset} for '{scenario}', seed {seed}");
+        let lines: Vec<String> =
+            [head].into_iter().chain(evaluation).chain(hints).chain([format!("policy {policy}")]).collect();
+        lines.join("\n")
+    }
+}
+
 /// Runs `train`: trains a policy until the budget is used or the run is interrupted, saves it, and prints the result.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     if imitation::is_meant(args, registry)? { imitation::run(args, registry) } else { rewards::run(args, registry) }
@@ -129,10 +178,14 @@ fn open_folder(args: &Args) -> Result<(Folder, bool)> {
 }
 
 /// Prints the result of a training: as JSON, or by `table`. Returns how the command ends.
-fn finish<R: Serialize>(args: &Args, report: &R, table: impl Fn(&R) -> String, interrupted: bool) -> Result<Ended> {
+fn finish<'a, E: Serialize + ?Sized>(
+    args: &Args,
+    report: &Report<'a, E>,
+    table: impl Fn(&Report<'a, E>) -> String,
+) -> Result<Ended> {
     print(&if args.json { serde_json::to_string(report).context("a report is JSON")? } else { table(report) })?;
-    if interrupted && !args.quiet {
+    if report.interrupted && !args.quiet {
         talk("interrupted; everything is saved: the same command with --resume continues from here");
     }
-    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+    Ok(if report.interrupted { Ended::Interrupted } else { Ended::Done })
 }

@@ -3,22 +3,20 @@
 use std::time::Instant;
 
 use anyhow::Result;
-use murmurate::config::shown::counted;
 use murmurate::registry::Registry;
 use murmurate_robot::Ended;
 use murmurate_robot::output::{print, talk};
 use murmurate_train::config::Config;
-use murmurate_train::evaluate::{Scores, glance, quick_evaluation};
+use murmurate_train::evaluate::{Score, Scores, glance, quick_evaluation};
 use murmurate_train::expectation;
 use murmurate_train::reward::has_reward;
 use murmurate_train::trainer::{Diverged, Metrics, Trainer};
-use serde::Serialize;
 
 use super::budget::Budget;
-use super::course::{self, Past, Training};
 use super::curve::{Curve, Row};
 use super::folder::Folder;
-use super::{Args, finish, plan};
+use super::training::{self, Training};
+use super::{Args, Report, finish, plan};
 
 /// Number of layouts of an evaluation during a training. A policy on its way lets most episodes run to their limit, so
 /// each takes long.
@@ -27,22 +25,6 @@ const ON_THE_WAY: u32 = 32;
 const EPISODES: u32 = 128;
 /// Share of these layouts, one in so many, by which a training of minutes finds out how long an evaluation takes.
 const EVALUATION_PART: u32 = 16;
-
-/// Result of a training, as it is printed.
-#[derive(Serialize)]
-struct Report<'a> {
-    policy: String,
-    scenario: &'a str,
-    preset: &'a str,
-    seed: u64,
-    decisions: u64,
-    iterations: u64,
-    wall_s: f64,
-    /// Success rates and makespans of the policy at the end of the training; `None` after an interruption, because the
-    /// program then ends without an evaluation.
-    evaluation: Option<&'a Scores>,
-    interrupted: bool,
-}
 
 /// Training with its curve.
 struct ByRewards {
@@ -54,6 +36,15 @@ struct ByRewards {
 
 impl Training for ByRewards {
     type Metrics = Metrics;
+
+    fn origin(&self) -> (&str, &str, u64) {
+        let plan = self.trainer.plan();
+        (self.trainer.scenario().name(), &plan.preset, plan.seed)
+    }
+
+    fn iterations(&self) -> u64 {
+        self.trainer.iterations()
+    }
 
     fn decisions(&self) -> u64 {
         self.trainer.decisions()
@@ -108,9 +99,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     if !args.quiet {
         announce(&training.trainer, budget);
     }
-    let Past { elapsed_s, interrupted } = course::run(&mut training, &mut folder, (budget, began), args)?;
-    let report = report(&folder, &training, (elapsed_s, interrupted));
-    finish(args, &report, table, interrupted)
+    let end = training::run(&mut training, &mut folder, (budget, began), args)?;
+    finish(args, &Report::of(&training, (&folder, end), training.scores.as_ref()), table)
 }
 
 /// Opens the output folder, and returns it with the training in it, or with a new one, which is saved there.
@@ -150,26 +140,9 @@ fn schedule(config: &Config, budget: Budget) -> Option<String> {
         .then(|| format!("{stages} stages, the later ones from {} on; success drops as one begins", ends.join(", ")))
 }
 
-/// Returns the result of the training.
-fn report<'a>(folder: &Folder, training: &'a ByRewards, (wall_s, interrupted): (f64, bool)) -> Report<'a> {
-    let trainer = &training.trainer;
-    let plan = trainer.plan();
-    Report {
-        policy: folder.policy().display().to_string(),
-        scenario: trainer.scenario().name(),
-        preset: &plan.preset,
-        seed: plan.seed,
-        decisions: trainer.decisions(),
-        iterations: trainer.iterations(),
-        wall_s,
-        evaluation: training.scores.as_ref(),
-        interrupted,
-    }
-}
-
 /// Returns a text on the success that trainings with this preset have reached after more decisions; `None` if none was
 /// better than this one, or if nothing is known of the preset.
-fn expectation(report: &Report, decisions_per_s: f64) -> Option<String> {
+fn expectation(report: &Report<Scores>, decisions_per_s: f64) -> Option<String> {
     let measured = expectation::measured(report.preset)?;
     let success = report.evaluation?.with_default_draw("perfect")?.success;
     let better = measured.iter().find(|known| known.decisions > report.decisions && known.success > success)?;
@@ -187,25 +160,16 @@ fn expectation(report: &Report, decisions_per_s: f64) -> Option<String> {
     ))
 }
 
-fn table(report: &Report) -> String {
-    let mut lines = vec![format!(
-        "{} in {:.0} s; {} for '{}', seed {}",
-        counted(report.decisions, "decision"),
-        report.wall_s,
-        report.preset,
-        report.scenario,
-        report.seed
-    )];
-    for score in report.evaluation.iter().flat_map(|scores| &scores.0) {
+fn table(report: &Report<Scores>) -> String {
+    let line = |score: &Score| {
         let makespan = score.makespan_s.map_or("-".to_owned(), |makespan| format!("{makespan:.2} s"));
-        lines.push(format!(
+        format!(
             "{:<10} {:<7} success {:5.1} %  median makespan {makespan}  ({EPISODES} layouts)",
             score.conditions,
             score.action,
             100.0 * score.success
-        ));
-    }
-    lines.extend(expectation(report, report.decisions as f64 / report.wall_s.max(1e-9)));
-    lines.push(format!("policy {}", report.policy));
-    lines.join("\n")
+        )
+    };
+    let hint = expectation(report, report.decisions as f64 / report.wall_s.max(1e-9));
+    report.text(report.evaluation.iter().flat_map(|scores| &scores.0).map(line), hint)
 }

@@ -103,9 +103,8 @@ impl TaughtEpisode {
 /// Team in an episode.
 struct TaughtTeam<'a> {
     setting: Setting<'a>,
-    tasks: Vec<Task>,
-    /// The same tasks, as robots are told them.
-    told: Vec<Option<Task>>,
+    /// Tasks of the robots, all of which they are told.
+    tasks: Vec<Option<Task>>,
     /// Time since the start of the episode.
     after: Span,
     sight: Sight,
@@ -141,8 +140,7 @@ impl<'a> TaughtTeam<'a> {
         TaughtTeam {
             setting,
             motion: tasks.iter().map(placed).collect(),
-            told: tasks.iter().copied().map(Some).collect(),
-            tasks,
+            tasks: tasks.into_iter().map(Some).collect(),
             after: Span::ZERO,
             sight: Sight::new(channels, robots),
             messages,
@@ -156,7 +154,8 @@ impl<'a> TaughtTeam<'a> {
 
     /// Returns the observation of a robot without values of channels.
     fn own(&self, robot: usize) -> Observation<'static> {
-        let own = self.setting.scenario.observe(&self.tasks[robot], &self.motion[robot]);
+        let task = self.tasks[robot].as_ref().expect("in training every task is known");
+        let own = self.setting.scenario.observe(task, &self.motion[robot]);
         Observation { elapsed: self.after, ..own }
     }
 
@@ -167,7 +166,7 @@ impl<'a> TaughtTeam<'a> {
         for robot in 0..robots {
             let own = self.own(robot);
             let (_, to) = self.graphs.source();
-            entry::write(&manifest.observation, &self.sight.see(own, robot, &self.told), to);
+            entry::write(&manifest.observation, &self.sight.see(own, robot, &self.tasks), to);
             scale(to, &units.observation);
             self.graphs.begins(self.sent.len() == 1);
         }
@@ -213,7 +212,7 @@ impl<'a> TaughtTeam<'a> {
         let (interface, robots) = (expert.interface(), self.motion.len());
         let (mut values, mut latents) = (Vec::with_capacity(robots), Vec::with_capacity(robots));
         for (robot, expert) in experts.robots.iter_mut().enumerate() {
-            let seen = experts.sight.see(self.own(robot), robot, &self.told);
+            let seen = experts.sight.see(self.own(robot), robot, &self.tasks);
             let mut features = vec![0.0; interface.features];
             expert.encode(&seen, &mut features);
             values.push(seen.values.to_vec());

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::scene::{Link, Scene, SceneFrame};
-use super::sheet::{AGES, COLOURS, View, goal_mark, goals, legend, px, sheet, verdict};
+use super::sheet::{AGES, COLOURS, View, goal_mark, goals, legend, px, sheet, verdict, waypoint_mark};
 use super::still::{self, drawn, path};
 use murmurate::messages::geometry::Vec2;
 use murmurate::time::Span;
@@ -112,7 +112,7 @@ pub fn moving(scene: &Scene) -> String {
     text += "</g>\n";
     let style = ".still{display:none}.clock{font-size:26px}\
                  @media(prefers-reduced-motion:reduce){.still{display:inline}.moving{display:none}}";
-    let legends = [("still", still::marks(scene).to_vec()), ("moving", marks(scene))];
+    let legends = [("still", still::marks(scene)), ("moving", marks(scene))];
     let legends =
         legends.map(|(class, marks)| format!("<g class=\"{class}\">{}</g>\n", legend(&view, &marks))).concat();
     sheet(&view, scene, style, &text, &legends)
@@ -122,7 +122,7 @@ pub fn moving(scene: &Scene) -> String {
 /// messages are perfect and go nowhere, they are not explained.
 fn marks(scene: &Scene) -> Vec<(String, f32, String)> {
     if scene.pairs().is_empty() {
-        return vec![goal_mark(scene)];
+        return waypoint_mark(scene).into_iter().chain([goal_mark(scene)]).collect();
     }
     let line = |(at, strong): (usize, &&str)| {
         format!("<path class=\"link\" d=\"M{} 0h26\" stroke-width=\"3\" stroke-opacity=\"{strong}\"/>", 28 * at)
@@ -130,7 +130,8 @@ fn marks(scene: &Scene) -> Vec<(String, f32, String)> {
     let lines = AGES.iter().enumerate().map(line).collect();
     let heard = format!("heard, new to {} s old", scene.stage.window.as_secs());
     let dashed = "<path class=\"link\" d=\"M0 0h30\" stroke-width=\"3\" stroke-dasharray=\"7 6\"/>".to_owned();
-    vec![goal_mark(scene), (lines, 138.0, heard), (dashed, 30.0, "one way".to_owned())]
+    let links = [(lines, 138.0, heard), (dashed, 30.0, "one way".to_owned())];
+    waypoint_mark(scene).into_iter().chain([goal_mark(scene)]).chain(links).collect()
 }
 
 /// Draws the goals, whose dashed circles become solid at the arrival of their robots.

@@ -232,6 +232,13 @@ fn course(view: &View, task: &Task, course: &Course) -> String {
     )
 }
 
+/// Returns the legend's entry for waypoints: its mark (SVG), the width of the mark \[pixels\] and its text; `None`
+/// where robots have none.
+pub fn waypoint_mark(scene: &Scene) -> Option<(String, f32, String)> {
+    let has_some = scene.stage.courses.iter().any(|course| !course.waypoints().is_empty());
+    has_some.then(|| (format!("<circle class=\"dot c7\" cx=\"5\" r=\"{DOT_PX}\"/>"), 10.0, "waypoint".to_owned()))
+}
+
 /// Returns the legend's entry for goals: its mark (SVG), the width of the mark \[pixels\] and its text.
 pub fn goal_mark(scene: &Scene) -> (String, f32, String) {
     let mark = "<circle class=\"goal c7\" cx=\"10\" r=\"9\" stroke-width=\"2\" stroke-dasharray=\"5 4\"/>".to_owned();

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::scene::{Scene, SceneFrame};
-use super::sheet::{COLOURS, View, goal_mark, goals, legend, px, sheet, verdict};
+use super::sheet::{COLOURS, View, goal_mark, goals, legend, px, sheet, verdict, waypoint_mark};
 use murmurate::time::Span;
 
 /// Approximate number of moments at which each robot is drawn.
@@ -26,12 +26,13 @@ pub fn still(scene: &Scene) -> String {
 
 /// Returns the entries of a still picture's legend, for starts, goals, and robots at moments in between. Each is a mark
 /// (SVG), the width of the mark \[pixels\] and its text.
-pub fn marks(scene: &Scene) -> [(String, f32, String); 3] {
+pub fn marks(scene: &Scene) -> Vec<(String, f32, String)> {
     let every = format!("every {} s, stronger with time", between(scene.length()).as_secs());
     let dot = |x: u32, opacity: f32| format!("<circle class=\"dot c7\" cx=\"{x}\" r=\"9\" opacity=\"{opacity}\"/>");
     let start = "<circle class=\"start c7\" cx=\"10\" r=\"9\" stroke-width=\"2\"/>".to_owned();
     let dots = dot(10, 0.15) + &dot(20, 0.4) + &dot(30, 1.0);
-    [(start, 20.0, "start".to_owned()), goal_mark(scene), (dots, 40.0, every)]
+    let start = (start, 20.0, "start".to_owned());
+    [start].into_iter().chain(waypoint_mark(scene)).chain([goal_mark(scene), (dots, 40.0, every)]).collect()
 }
 
 /// Returns the SVG elements of goals, starts, paths and robots of a still picture. The animated picture also contains

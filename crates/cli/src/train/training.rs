@@ -1,5 +1,5 @@
-//! The course of a training, whatever its objective: iterations, evaluations and saves until its budget is used or
-//! Ctrl-C, with progress.
+//! A training, whatever its objective: iterations, evaluations and saves until its budget is used or Ctrl-C, with
+//! progress.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -19,10 +19,16 @@ const SAVE_EVERY: Duration = Duration::from_secs(30);
 /// Interval of evaluations during a training, as a share of the whole training.
 const EVALUATE_EVERY: f64 = 0.05;
 
-/// Training as its course sees it, with its learning curve.
+/// Training with its learning curve.
 pub trait Training {
     /// Results of an iteration.
     type Metrics;
+
+    /// Returns the name of the scenario, that of the preset, and the seed.
+    fn origin(&self) -> (&str, &str, u64);
+
+    /// Returns the number of iterations so far.
+    fn iterations(&self) -> u64;
 
     /// Returns the number of decisions so far.
     fn decisions(&self) -> u64;
@@ -54,7 +60,7 @@ pub trait Training {
 
 /// End of a training.
 #[derive(Clone, Copy, Debug)]
-pub struct Past {
+pub struct End {
     /// Duration of the training, with those from which it was resumed \[s\].
     pub elapsed_s: f64,
     /// Whether Ctrl-C has ended it.
@@ -71,7 +77,7 @@ pub fn run(
     folder: &mut Folder,
     (budget, began): (Budget, Instant),
     args: &Args,
-) -> Result<Past> {
+) -> Result<End> {
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let threads = args.threads.map_or(cores, usize::from);
     let stop = Arc::new(AtomicBool::new(false));
@@ -116,12 +122,13 @@ pub fn run(
             }
         }
     }
+    training.save(folder)?;
     if !interrupted {
         training.evaluate(threads);
+        training.save(folder)?;
     }
-    training.save(folder)?;
     bar.finish_and_clear();
-    Ok(Past { elapsed_s: elapsed_s(), interrupted })
+    Ok(End { elapsed_s: elapsed_s(), interrupted })
 }
 
 fn bar(quiet: bool) -> ProgressBar {
