@@ -24,7 +24,7 @@ try:
 except ImportError:
     Callback = object
 
-STEP_S, DRAG = 0.1, 0.25
+STEP_S, DRAG, RANGE_M = 0.1, 0.25, 0.35
 
 
 class File:
@@ -74,7 +74,9 @@ def of_file(path):
 
     def act(env, observations):
         all_of = torch.stack(observations, 1)
-        positions, velocities, scans = all_of[..., :2], all_of[..., 2:4], all_of[..., 6:]
+        positions, velocities = all_of[..., :2], all_of[..., 2:4]
+        # VMAS gives how much nearer than its range an echo is, from the x axis on; policies get distances, from behind on.
+        scans = (RANGE_M - all_of[..., 6:]).roll(-(all_of.shape[-1] - 6) // 2, -1)
         wanted = policy.act(positions, velocities, positions - all_of[..., 4:6], scans)
         force = (wanted - velocities * (1 - DRAG)) / STEP_S
         return list(force.clamp(-1, 1).unbind(1))
