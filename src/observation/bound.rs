@@ -85,10 +85,11 @@ impl Bound {
                 return Err(refuse(format!("there is no channel '{wanted}' here; there are: {known}{sense}")));
             };
             let (theirs, ours) = (&request.shape, &channel.shape);
-            if theirs != ours {
+            if !channel.has(theirs) {
                 let name = &channel.name;
+                let choice = channel.most.map_or(String::new(), |most| format!(" with 1 to {most} as its first axis"));
                 return Err(refuse(format!(
-                    "the policy takes an array {theirs:?}, and the channel '{name}' is {ours:?}"
+                    "the policy takes an array {theirs:?}, and the channel '{name}' is {ours:?}{choice}"
                 )));
             }
             if request.unit != channel.unit {
@@ -111,6 +112,7 @@ impl Bound {
                 return Err(refuse(format!("with it the policy takes more than {MAX_FLOATS} values")));
             }
             bound.memory += channel.memory;
+            let channel = &Channel { shape: theirs.clone(), ..channel.clone() };
             bound.parts.push((taken(channel, request.frame, &request.taking).map_err(refuse)?, frame));
         }
         Ok(bound)

@@ -91,6 +91,8 @@ pub struct Channel {
     pub about: &'static str,
     /// Number of values along each axis of the array.
     pub shape: Vec<usize>,
+    /// Largest number of values along the first axis that a policy may take, where it has the choice.
+    pub most: Option<usize>,
     /// Unit of all values.
     pub unit: Unit,
     /// Kind of the values.
@@ -140,7 +142,20 @@ impl Channel {
         assert!(floats(&shape) > 0, "the channel '{name}' has no values");
         let pairs = matches!(quantity, Quantity::Vector | Quantity::Point);
         assert!(!pairs || shape.last() == Some(&2), "the last axis of the channel '{name}' is not 2, for x and y");
-        Channel { name, about, shape, unit, quantity, memory, write: Arc::new(write), sense: None }
+        Channel { name, about, shape, most: None, unit, quantity, memory, write: Arc::new(write), sense: None }
+    }
+
+    /// Returns the channel as one of which a policy takes 1 to `most` values along the first axis, as it says itself.
+    pub fn up_to(self, most: usize) -> Channel {
+        Channel { most: Some(most), ..self }
+    }
+
+    /// Returns whether a policy may take an array of this shape.
+    pub(super) fn has(&self, shape: &[usize]) -> bool {
+        match (self.most, shape.split_first(), self.shape.split_first()) {
+            (Some(most), Some((rows, theirs)), Some((_, ours))) => (1..=most).contains(rows) && theirs == ours,
+            _ => self.shape == shape,
+        }
     }
 }
 

@@ -15,8 +15,10 @@ pub const CHANNEL: &str = "goals";
 
 /// Name of the channel that has the goals nearest to the robot.
 pub const NEAREST: &str = "near-goals";
-/// Number of goals of the channel [`NEAREST`], whatever the size of the team.
+/// Number of goals of the channel [`NEAREST`] that lists of channels show, whatever the size of the team.
 pub const NEAREST_GOALS: usize = 4;
+/// Largest number of goals that a policy may take of it.
+const MOST_NEAREST: usize = 64;
 
 /// Robots to which the goals of a scenario belong.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
@@ -89,9 +91,9 @@ pub fn channel(robots: usize) -> Channel {
     Channel::new(CHANNEL, "from the robot to each goal of the team, in an order of their places", form, write)
 }
 
-/// Returns the channel [`NEAREST`]: from the robot to the [`NEAREST_GOALS`] goals that are nearest to it \[m\], \[4,
-/// 2\], the nearest first. In a smaller team the farthest goal is there several times. They are unknown while a goal of
-/// the team is.
+/// Returns the channel [`NEAREST`]: from the robot to the goals that are nearest to it \[m\], \[n, 2\] with as many as
+/// the policy takes, [`NEAREST_GOALS`] for instance, the nearest first. In a smaller team the farthest goal is there
+/// several times. They are unknown while a goal of the team is.
 pub fn nearest() -> Channel {
     let form = (vec![NEAREST_GOALS, 2], Unit::Metre, Quantity::Vector);
     Channel::new(
@@ -100,6 +102,7 @@ pub fn nearest() -> Channel {
         form,
         near,
     )
+    .up_to(MOST_NEAREST)
 }
 
 fn near(known: &Known, values: &mut [f32]) {

@@ -138,7 +138,7 @@ fn recurrent_shapes() -> Vec<Shape> {
 
 /// Returns the sum of both losses over all robots, and its derivatives by the outputs.
 fn lost(outputs: &[f64], samples: &[Sample<f64>]) -> (f64, Vec<f64>) {
-    let terms = Terms { clip: 0.2, entropy: 0.03, log_std_max: 0.4, overshoot: 0.7, limit_m_s: 0.2 };
+    let terms = Terms { clip: 0.2, entropy: 0.03, log_std_max: 0.4, overshoot: 0.7, limit_m_s: 0.2, imitation: 0.4 };
     let (mut sum, mut d_outputs) = (0.0, Vec::new());
     for (outputs, sample) in outputs.chunks_exact(4).zip(samples) {
         let found = loss::policy(outputs, sample, &terms);
@@ -160,6 +160,7 @@ fn compare(name: &str, network: &Network, batch: &Batch<f64>, stream: &mut Strea
     }
     let sample = |stream: &mut Stream| Sample {
         action: [stream.random_range(-1.0..1.0), stream.random_range(-1.0..1.0)],
+        taught: Some([stream.random_range(-1.0..1.0), stream.random_range(-1.0..1.0)]),
         log_density: stream.random_range(-2.5..-1.5),
         advantage: stream.random_range(-1.0..1.0),
     };
@@ -213,9 +214,9 @@ fn every_derivative_of_networks_through_time_matches_central_differences() {
 
 #[test]
 fn the_policy_loss_is_flat_where_it_is_clipped_and_where_the_deviation_is_capped() {
-    let terms = Terms { clip: 0.2, entropy: 0.0, log_std_max: -1.0, overshoot: 0.0, limit_m_s: 1.0 };
+    let terms = Terms { clip: 0.2, entropy: 0.0, log_std_max: -1.0, overshoot: 0.0, limit_m_s: 1.0, imitation: 0.0 };
     // Much more likely than before, with a positive advantage: clipped.
-    let far = Sample { action: [0.0, 0.0], log_density: -5.0f64, advantage: 1.0 };
+    let far = Sample { action: [0.0, 0.0], taught: None, log_density: -5.0f64, advantage: 1.0 };
     assert_eq!(loss::policy(&[0.0, 0.0, -2.0, -2.0], &far, &terms).d_outputs, [0.0; 4]);
     // With a negative advantage: not clipped.
     let bad = Sample { advantage: -1.0, ..far };
@@ -227,9 +228,9 @@ fn the_policy_loss_is_flat_where_it_is_clipped_and_where_the_deviation_is_capped
 #[test]
 fn a_mean_beyond_the_limit_costs_the_square_of_what_is_beyond() {
     // The advantage is zero, so nothing else has a derivative by the means.
-    let sample = Sample { action: [0.0, 0.0], log_density: -2.0f64, advantage: 0.0 };
+    let sample = Sample { action: [0.0, 0.0], taught: None, log_density: -2.0f64, advantage: 0.0 };
     let found = |overshoot, mean: [f64; 2]| {
-        let terms = Terms { clip: 0.2, entropy: 0.0, log_std_max: 0.0, overshoot, limit_m_s: 1.0 };
+        let terms = Terms { clip: 0.2, entropy: 0.0, log_std_max: 0.0, overshoot, limit_m_s: 1.0, imitation: 0.0 };
         loss::policy(&[mean[0], mean[1], -1.0, -1.0], &sample, &terms)
     };
     let beyond = found(2.0, [1.5, -3.0]);
@@ -237,4 +238,19 @@ fn a_mean_beyond_the_limit_costs_the_square_of_what_is_beyond() {
     let within = found(2.0, [1.0, -0.9]);
     assert_eq!((within.loss, within.d_outputs), (0.0, [0.0; 4]));
     assert_eq!(found(0.0, [1.5, -3.0]).loss, 0.0, "it has no price unless the configuration says so");
+}
+
+#[test]
+fn a_mean_other_than_what_was_taught_costs_the_square_of_the_difference() {
+    let terms = Terms { clip: 0.2, entropy: 0.0, log_std_max: 0.0, overshoot: 0.0, limit_m_s: 1.0, imitation: 0.5 };
+    let found = |taught: Option<[f64; 2]>| {
+        let sample = Sample { action: [0.0, 0.0], taught, log_density: -2.0f64, advantage: 0.0 };
+        loss::policy(&[0.5, -0.25, -1.0, -1.0], &sample, &terms)
+    };
+    let disagreement = found(Some([-0.5, 0.25]));
+    assert_eq!(
+        (disagreement.disagreement, disagreement.loss, disagreement.d_outputs),
+        (1.25, 0.625, [1.0, -0.5, 0.0, 0.0])
+    );
+    assert_eq!((found(None).loss, found(None).disagreement), (0.0, 0.0), "without an expert nothing was taught");
 }

@@ -2,6 +2,7 @@
 
 mod allocation;
 mod convolutions;
+mod experts;
 mod gradients;
 mod imitation;
 mod memory;

@@ -60,11 +60,13 @@ fn windows_of_decisions_are_computed_as_the_decisions_were_made() {
             reward: config.reward,
             repeat: 3,
             log_std_max: -0.3,
+            expert: None,
         };
         let scenarios = std::slice::from_ref(&passage);
         let mut chunk = Chunk::new(3, &[vec![5]], (scenarios, None), &settings);
         chunk.start(&settings, &mut stream);
-        let terms = Terms { clip: 0.2, entropy: 0.0, log_std_max: -0.3, overshoot: 0.0, limit_m_s: 1.0 };
+        let terms =
+            Terms { clip: 0.2, entropy: 0.0, log_std_max: -0.3, overshoot: 0.0, limit_m_s: 1.0, imitation: 0.0 };
         for _ in 0..3 {
             chunk.collect(&settings, &parameters, &of_critic, 11, &mut stream);
             let record = &chunk.record;
@@ -78,7 +80,7 @@ fn windows_of_decisions_are_computed_as_the_decisions_were_made() {
                 let mut count = 0;
                 for (outputs, at) in space.outputs().chunks_exact(4).zip(samples) {
                     let (action, log_density) = (record.action[at], record.log_density[at]);
-                    let sample = Sample { action, log_density, advantage: 0.0 };
+                    let sample = Sample { action, taught: None, log_density, advantage: 0.0 };
                     let divergence = loss::policy(outputs, &sample, &terms).divergence;
                     assert!(divergence.abs() < 1e-4, "{name}, {extent:?}, sample {at}: {divergence}");
                     count += 1;

@@ -255,6 +255,7 @@ fn both(
         reward: config.reward,
         repeat: 1,
         log_std_max: 0.0,
+        expert: None,
     };
     let parameters = parameters(&bytes, &manifest);
     let evaluation = Evaluation {

@@ -60,6 +60,9 @@ pub struct Config {
     pub critic: Option<Critic>,
     /// Parameters of proximal policy optimisation, the learning algorithm.
     pub ppo: Ppo,
+    /// Policy that is imitated besides; none if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expert: Option<Imitated>,
     /// Weights of the terms of a robot's reward.
     pub reward: Reward,
     /// Distributions from which each episode's conditions are drawn.
@@ -124,6 +127,29 @@ pub struct Ppo {
     /// It keeps the means within the limit, where different actions lead to different speeds.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub overshoot: f32,
+}
+
+/// Policy that says in each state what it would do, and the weight of what the trained policy does otherwise. So a
+/// training that rewards alone would begin too slowly learns first what the expert can, and then what it cannot
+/// (Schmitt et al., "Kickstarting deep reinforcement learning", arXiv 1803.03835, with a scripted expert).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Imitated {
+    /// Name of the expert in the registry, such as `claim`.
+    pub policy: String,
+    /// Weight in the policy's loss of the squared difference of its mean velocity from the expert's \[s²/m²\], at the
+    /// beginning and at `until`; linear in between, and constant after it. Without weight the expert is not asked.
+    pub weight: [f32; 2],
+    /// Progress of the training at which the weight has its second value, above 0 and at most 1.
+    pub until: f64,
+}
+
+impl Imitated {
+    /// Returns the weight at the completed fraction `progress` of the training, 0 to 1.
+    pub fn weight(&self, progress: f64) -> f32 {
+        let [from, to] = self.weight;
+        from + (to - from) * (progress / self.until).min(1.0) as f32
+    }
 }
 
 fn is_zero(weight: &f32) -> bool {

@@ -164,5 +164,5 @@ fn evaluation(trainer: &Trainer, draws: &[Draw], episodes: u32, threads: usize) 
 /// Returns the settings for an evaluation: an action is held for one step.
 fn without_repeat<'a>(settings: &RolloutSettings<'a>) -> RolloutSettings<'a> {
     let RolloutSettings { config, actor, critic, reward, log_std_max, .. } = *settings;
-    RolloutSettings { config, actor, critic, reward, repeat: 1, log_std_max }
+    RolloutSettings { config, actor, critic, reward, repeat: 1, log_std_max, expert: None }
 }

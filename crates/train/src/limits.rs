@@ -1,6 +1,6 @@
 //! Validation of a training's configuration: the permitted values of its fields.
 
-use super::config::{Conditions, Config, Critic, Ppo};
+use super::config::{Conditions, Config, Critic, Imitated, Ppo};
 use super::network::Shape;
 use murmurate::config::{ConfigError, in_range};
 use murmurate::policy::hops::action::Action;
@@ -13,6 +13,7 @@ impl Config {
         self.ppo.check()?;
         self.reward.check()?;
         self.conditions.check()?;
+        self.expert.as_ref().map_or(Ok(()), Imitated::check)?;
         self.check_curriculum()?;
         self.check_networks()
     }
@@ -83,6 +84,15 @@ impl Config {
             return wrong(self.curriculum.len() - 1, "until", format!("the last stage must end at 1, not at {start}"));
         }
         Ok(())
+    }
+}
+
+impl Imitated {
+    fn check(&self) -> Result<(), ConfigError> {
+        for weight in self.weight {
+            in_range("expert.weight", f64::from(weight), (0.0, 1000.0))?;
+        }
+        in_range("expert.until", self.until, (1e-6, 1.0))
     }
 }
 

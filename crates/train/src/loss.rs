@@ -10,6 +10,8 @@ pub struct Sample<T> {
     pub action: [T; 2],
     /// Natural logarithm of the action's probability density under the policy that drew it.
     pub log_density: T,
+    /// Velocity of the expert in the same state \[m/s\], policy frame; `None` without an expert.
+    pub taught: Option<[T; 2]>,
     /// Advantage of the action, normalised to mean 0 and standard deviation 1 over the rollout.
     pub advantage: T,
 }
@@ -27,6 +29,8 @@ pub struct Terms<T> {
     pub overshoot: T,
     /// Largest speed along each axis that robots are commanded \[m/s\].
     pub limit_m_s: T,
+    /// Weight in the loss of the squared difference of the means from what was taught \[s²/m²\].
+    pub imitation: T,
 }
 
 /// The policy's loss for one recorded action of one robot, with its derivatives.
@@ -41,11 +45,14 @@ pub struct PolicyLoss<T> {
     pub divergence: T,
     /// Entropy of the action's distribution under the current policy.
     pub entropy: T,
+    /// Squared difference of the means from what was taught \[m²/s²\]; 0 without an expert.
+    pub disagreement: T,
 }
 
 /// Computes the policy's loss for one recorded action: the clipped surrogate loss (Schulman et al., arXiv 1707.06347,
-/// equation 7) minus the weighted entropy of a diagonal normal distribution, plus the price of means beyond the speed
-/// limit. `outputs` are those of the policy's network now: mean_x, mean_y, log_std_x and log_std_y.
+/// equation 7) minus the weighted entropy of a diagonal normal distribution, plus the prices of means beyond the speed
+/// limit, and of means other than an expert's velocity. `outputs` are those of the policy's network now: mean_x,
+/// mean_y, log_std_x and log_std_y.
 pub fn policy<T: Real>(outputs: &[T], sample: &Sample<T>, terms: &Terms<T>) -> PolicyLoss<T> {
     let half = T::of(0.5);
     let (mut log_density, mut entropy) = (T::zero(), T::zero());
@@ -67,18 +74,24 @@ pub fn policy<T: Real>(outputs: &[T], sample: &Sample<T>, terms: &Terms<T>) -> P
     // If the clipped term is the smaller one, the loss does not depend on the ratio.
     let d_log_density = if surrogate <= clipped { -surrogate } else { T::zero() };
     let mut loss = -surrogate.min(clipped) - terms.entropy * entropy;
-    let mut d_outputs = [T::zero(); 4];
+    let (mut d_outputs, mut disagreement) = ([T::zero(); 4], T::zero());
     for axis in 0..2 {
         d_outputs[axis] = d_log_density * d_mean[axis];
         // The part beyond the limit, with the mean's sign.
         let beyond = outputs[axis] - outputs[axis].max(-terms.limit_m_s).min(terms.limit_m_s);
         loss += terms.overshoot * beyond * beyond;
         d_outputs[axis] += T::of(2.0) * terms.overshoot * beyond;
+        if let Some(taught) = &sample.taught {
+            let difference = outputs[axis] - taught[axis];
+            disagreement += difference * difference;
+            d_outputs[axis] += T::of(2.0) * terms.imitation * difference;
+        }
         if free[axis] {
             d_outputs[2 + axis] = d_log_density * d_log_std[axis] - terms.entropy;
         }
     }
-    PolicyLoss { loss, d_outputs, divergence: ratio - T::one() - log_ratio, entropy }
+    loss += terms.imitation * disagreement;
+    PolicyLoss { loss, d_outputs, divergence: ratio - T::one() - log_ratio, entropy, disagreement }
 }
 
 /// Returns the critic's loss for one estimate, half its squared error from `target`, and the derivative of the loss

@@ -32,6 +32,8 @@ pub struct Experience {
     pub critic: Graphs,
     /// Actions as drawn from the policy's distribution \[m/s\], policy frame.
     pub action: Vec<[f32; 2]>,
+    /// Velocities that an expert would have commanded in place of the actions \[m/s\], policy frame; empty without one.
+    pub taught: Vec<[f32; 2]>,
     /// Natural logarithms of the actions' probability densities under the policy that drew them.
     pub log_density: Vec<f32>,
     /// Rewards from each action until the next decision.
@@ -80,6 +82,7 @@ impl Experience {
         self.actor.clear();
         self.critic.clear();
         self.action.clear();
+        self.taught.clear();
         self.log_density.clear();
         self.reward.clear();
         self.state.clear();

@@ -9,6 +9,7 @@ use super::batch::Batch;
 use super::channels::Channels;
 use super::config::Config;
 use super::environments::{Environments, TrainingTeam};
+use super::experts::Experts;
 use super::graphs::{Graphs, Window};
 use super::message_buffer::HISTORY_STEPS;
 use super::network::Space;
@@ -103,6 +104,8 @@ impl Chunk {
         stream: &mut Stream,
     ) {
         self.record.clear();
+        let teams = self.environments.teams.len();
+        let mut experts = settings.expert.map(|taught| Experts::new(taught.experts, teams));
         let mut truncated = Graphs::new(self.robots, settings.critic.inputs(), settings.critic.shape().edge);
         for _ in 0..decisions {
             self.observe(settings, stream);
@@ -111,6 +114,10 @@ impl Chunk {
             }
             self.evaluate(settings, actor, true);
             self.draw(settings, stream);
+            if let Some(experts) = &mut experts {
+                let taught = experts.ask(&self.environments, settings.config.policy.limit_m_s, stream);
+                self.record.taught.extend(taught);
+            }
             self.act(settings, actor, stream);
             self.record.reward.extend_from_slice(&self.rewards);
             self.end_episodes(settings, &mut truncated, stream);

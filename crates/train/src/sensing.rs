@@ -87,6 +87,12 @@ impl Environments {
         self.observing = observing;
     }
 
+    /// Returns the true state of the robot with index `robot` among all robots, without values of channels. Its team
+    /// has the index `team`.
+    pub(super) fn true_state(&self, team: usize, robot: usize) -> Observation<'static> {
+        self.own((team, robot), &self.tasks[robot], &self.point(robot))
+    }
+
     /// Returns the state of a robot with this task and the motion `estimate`, world frame, as the policy observes it,
     /// without values of channels.
     fn own(&self, (team, robot): (usize, usize), task: &Task, estimate: &Motion) -> Observation<'static> {

@@ -1,6 +1,7 @@
 //! Settings of a rollout, which all chunks of environments share.
 
 use super::config::{Config, Reward};
+use super::experts::Expert;
 use super::network::Network;
 
 /// Largest number of rows (environments) in a chunk, which one thread steps together. The network evaluates all rows of
@@ -28,6 +29,17 @@ pub struct RolloutSettings<'a> {
     pub repeat: u32,
     /// Upper limit of the actions' log standard deviation.
     pub log_std_max: f32,
+    /// Policy that is imitated besides; `None` for rewards alone.
+    pub expert: Option<Taught<'a>>,
+}
+
+/// What a rollout takes of an expert.
+#[derive(Clone, Copy, Debug)]
+pub struct Taught<'a> {
+    /// Expert for each team size that occurs, indexed by it.
+    pub experts: &'a [Option<Expert>],
+    /// Weight in the policy's loss of the squared difference from the expert's velocity \[s²/m²\], above 0.
+    pub weight: f32,
 }
 
 impl RolloutSettings<'_> {

@@ -1,11 +1,14 @@
 //! Trainer: iterations of rollout and update, from random weights to a policy file. The caller passes in the progress
 //! and gets metrics. The trainer's state can be saved as bytes and resumed with identical results.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
 use super::config::Config;
+pub use super::errors::{Diverged, SetupError};
+use super::experts::Expert;
 use super::learner::{Initial, Learner};
 use super::network::Network;
 use super::parallel::in_parallel;
@@ -13,12 +16,12 @@ use super::policy;
 use super::record::EpisodeTotals;
 use super::reward::has_reward;
 use super::rollout::{CHUNK, Chunk, RolloutSettings};
+use super::settings::Taught;
 use super::update::{Outcome, Workspace, update};
-use murmurate::config::ConfigError;
 use murmurate::policy::manifest::Training;
 use murmurate::random::Seed;
 use murmurate::registry::Registry;
-use murmurate::scenario::{Scenario, ScenarioError};
+use murmurate::scenario::Scenario;
 
 /// Factor on the learning rate after an update that stopped early.
 const RATE_DECREASE: f32 = 0.9;
@@ -57,78 +60,9 @@ pub struct Metrics {
     pub gradient: f32,
     /// Learning rate of the update.
     pub learning_rate: f32,
-}
-
-/// Error of a training that diverged and cannot continue.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error(
-    "iteration {iteration} ({decisions} decisions): non-finite value in {what}; the likely cause is a learning rate \
-     ({learning_rate:e}) or a reward scale that is too high"
-)]
-pub struct Diverged {
-    /// Index of the failed iteration, from 1.
-    pub iteration: u64,
-    /// Number of decisions before the failed iteration.
-    pub decisions: u64,
-    /// Name of the first quantity that was not finite.
-    pub what: &'static str,
-    /// Learning rate of the failed update.
-    pub learning_rate: f32,
-}
-
-/// Error of a training that cannot be set up or resumed.
-#[derive(Debug, thiserror::Error)]
-pub enum SetupError {
-    /// The scenario does not exist, or cannot be built with the configured settings.
-    #[error(transparent)]
-    Scenario(#[from] ScenarioError),
-    /// The policy's observation has a channel that a scenario has not, or a sense has a wrong setting.
-    #[error(transparent)]
-    Observation(#[from] ConfigError),
-    /// The bytes are not a checkpoint of this version of the program; the text says why.
-    #[error("not a complete checkpoint of this version of the program: {0}")]
-    Format(String),
-    /// The file is of another kind than a checkpoint; the text says of which, and what to give instead.
-    #[error("it is {0}")]
-    Foreign(&'static str),
-    /// The checkpoint is of a training with another network, or of a processor with other vector instructions.
-    #[error("it is of another training: {what} is {theirs} there and {ours} here")]
-    Other {
-        /// Name of the property that differs.
-        what: &'static str,
-        /// Value of the property in the checkpoint.
-        theirs: String,
-        /// Value of the property in the requested training.
-        ours: String,
-    },
-    /// The groups of a stage have another number of robots than the scenario.
-    #[error(
-        "curriculum: its groups have {found} robots; the team has {robots}: change 'groups', or start from what \
-         'murmurate train SCENARIO --print-config' prints"
-    )]
-    Groups {
-        /// Number of robots in the groups of one environment together.
-        found: usize,
-        /// Number of robots in the scenario's team.
-        robots: usize,
-    },
-    /// The scenario has no goals, so progress and arrival earn nothing, and its own reward has no weight.
-    #[error(
-        "reward.scenario: 0, but robots of the scenario '{scenario}' have no goals to be rewarded for; raise it, or \
-         train by imitation: --preset imitation"
-    )]
-    NoGoals {
-        /// Name of the scenario.
-        scenario: String,
-    },
-    /// The configuration sets a weight for the scenario's own reward, but the scenario has none.
-    #[error("reward.scenario: {weight}, but the scenario '{scenario}' has no reward of its own; set it to 0")]
-    NoReward {
-        /// Name of the scenario.
-        scenario: String,
-        /// Configured weight of the scenario's own reward.
-        weight: f32,
-    },
+    /// Mean squared difference of the policy's mean velocities from those of its expert in the update \[m²/s²\]; `None`
+    /// without one.
+    pub disagreement: Option<f32>,
 }
 
 /// Parameters of a training, which do not change from its start to its end.
@@ -172,6 +106,8 @@ pub struct Trainer {
     pub(super) progress: f64,
     /// Factor on the scheduled learning rate, adapted to the KL divergence of updates; at most 1.
     pub(super) rate_factor: f32,
+    /// Policy that is imitated, for each team size, indexed by it; empty without one.
+    experts: Vec<Option<Expert>>,
     workspace: Workspace,
 }
 
@@ -209,8 +145,10 @@ impl Trainer {
             env_steps: 0,
             progress: 0.0,
             rate_factor: 1.0,
+            experts: Vec::new(),
             workspace: Workspace::default(),
         };
+        trainer.experts = trainer.make_experts()?;
         // Sets up every stage now, so that an error of a late stage does not appear after hours of training.
         for stage in (0..trainer.plan.config.curriculum.len()).rev() {
             trainer.stage = stage;
@@ -242,6 +180,21 @@ impl Trainer {
         Ok((0..rows).step_by(CHUNK).map(chunk).collect())
     }
 
+    /// Makes the expert for each team size of all stages, indexed by it; none if the configuration has none.
+    fn make_experts(&self) -> Result<Vec<Option<Expert>>, SetupError> {
+        let Config { expert: Some(expert), curriculum, .. } = &self.plan.config else { return Ok(Vec::new()) };
+        let wrong = |why: String| SetupError::Expert { name: expert.policy.clone(), why };
+        let sizes: BTreeSet<usize> = curriculum.iter().flat_map(|stage| stage.groups.concat()).collect();
+        let mut experts: Vec<Option<Expert>> = Vec::new();
+        experts.resize_with(sizes.last().map_or(0, |largest| largest + 1), || None);
+        for robots in sizes {
+            let settings = self.plan.config.settings(Some(robots), None);
+            let scenario = self.registry.scenario(&self.plan.scenario, &settings)?;
+            experts[robots] = Some(Expert::new(&self.registry, &expert.policy, &scenario).map_err(wrong)?);
+        }
+        Ok(experts)
+    }
+
     fn start_chunks(&mut self) {
         let (mut chunks, settings) = (std::mem::take(&mut self.chunks), self.settings());
         for (index, chunk) in chunks.iter_mut().enumerate() {
@@ -264,7 +217,14 @@ impl Trainer {
             reward: config.reward.with_penalties(config.curriculum[self.stage].penalties),
             repeat: config.curriculum[self.stage].repeat,
             log_std_max: interpolate(config.ppo.log_std_max, self.progress),
+            expert: self.taught(),
         }
+    }
+
+    /// Returns what a rollout takes of the expert at the current progress; `None` once it has no weight.
+    fn taught(&self) -> Option<Taught<'_>> {
+        let weight = self.plan.config.expert.as_ref()?.weight(self.progress);
+        (weight > 0.0).then_some(Taught { experts: &self.experts, weight })
     }
 
     /// Performs one iteration, a rollout and an update, on up to `threads` threads. `progress` is the completed
@@ -352,6 +312,7 @@ impl Trainer {
             value_loss: outcome.value_loss,
             gradient: outcome.gradient,
             learning_rate,
+            disagreement: outcome.disagreement,
         }
     }
 

@@ -27,6 +27,8 @@ pub struct Outcome {
     pub value_loss: f32,
     /// Mean norm of the policy's gradient before clipping.
     pub gradient: f32,
+    /// Mean squared difference of the policy's mean velocities from those of its expert \[m²/s²\]; `None` without one.
+    pub disagreement: Option<f32>,
 }
 
 /// Error of an update in which a value became NaN or infinite.
@@ -51,6 +53,7 @@ struct Shard {
     samples: usize,
     divergence: f32,
     entropy: f32,
+    disagreement: f32,
     value_loss: f32,
 }
 
@@ -95,14 +98,8 @@ pub fn update(
     }
     let extent = settings.window();
     workspace.begin(records, extent.0);
-    let terms = Terms {
-        clip: ppo.clip,
-        entropy,
-        log_std_max: settings.log_std_max,
-        overshoot: ppo.overshoot,
-        limit_m_s: settings.config.policy.limit_m_s,
-    };
-    let mut outcome = Outcome::default();
+    let terms = terms(settings, entropy);
+    let mut outcome = Outcome { disagreement: settings.expert.map(|_| 0.0), ..Outcome::default() };
     let mut minibatches = 0.0;
     for _ in 0..ppo.epochs {
         workspace.order.shuffle(stream);
@@ -127,6 +124,7 @@ pub fn update(
             let sum = |pick: fn(&Shard) -> f32| workspace.shards.iter().map(pick).sum::<f32>() / robots;
             divergence += sum(|shard| shard.divergence);
             outcome.entropy += sum(|shard| shard.entropy);
+            outcome.disagreement.iter_mut().for_each(|disagreement| *disagreement += sum(|shard| shard.disagreement));
             outcome.value_loss += sum(|shard| shard.value_loss);
             outcome.gradient += norm;
             minibatches += 1.0;
@@ -142,9 +140,22 @@ pub fn update(
         }
     }
     outcome.entropy /= minibatches;
+    outcome.disagreement.iter_mut().for_each(|disagreement| *disagreement /= minibatches);
     outcome.value_loss /= minibatches;
     outcome.gradient /= minibatches;
     Ok(outcome)
+}
+
+/// Returns the coefficients of the policy's loss, with this weight of the entropy.
+fn terms(settings: &RolloutSettings, entropy: f32) -> Terms<f32> {
+    Terms {
+        clip: settings.config.ppo.clip,
+        entropy,
+        log_std_max: settings.log_std_max,
+        overshoot: settings.config.ppo.overshoot,
+        limit_m_s: settings.config.policy.limit_m_s,
+        imitation: settings.expert.map_or(0.0, |taught| taught.weight),
+    }
 }
 
 /// Returns the mean and standard deviation of the advantages in all records.
@@ -171,7 +182,7 @@ impl Shard {
             gradient.clear();
             gradient.resize(learner.parameters.len(), 0.0);
         }
-        (self.samples, self.divergence, self.entropy, self.value_loss) = (0, 0.0, 0.0, 0.0);
+        (self.samples, self.divergence, self.entropy, self.disagreement, self.value_loss) = (0, 0.0, 0.0, 0.0, 0.0);
         let robots = records[0].actor.robots;
         for windows in self.windows.chunks((CHUNK / extent.0).max(1)) {
             let windows = || windows.iter().map(|&(record, window)| (records[record as usize], window as usize));
@@ -192,6 +203,7 @@ impl Shard {
                 let sample = Sample {
                     action: record.action[at],
                     log_density: record.log_density[at],
+                    taught: record.taught.get(at).copied(),
                     advantage: (record.advantage[at] - mean) / scale,
                 };
                 let policy = loss::policy(outputs, &sample, terms);
@@ -199,6 +211,7 @@ impl Shard {
                 self.d_outputs.extend_from_slice(&policy.d_outputs);
                 self.divergence += policy.divergence;
                 self.entropy += policy.entropy;
+                self.disagreement += policy.disagreement;
             }
             let (batch, space) = (&self.batch, &mut self.actor_space);
             actor.network.backward(&actor.parameters, batch, &self.d_outputs, space, &mut self.actor);

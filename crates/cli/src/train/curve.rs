@@ -30,6 +30,8 @@ pub struct Row {
     value_loss: f32,
     gradient: f32,
     learning_rate: f32,
+    #[serde(default)]
+    disagreement: Option<f32>,
     perfect_success: Option<f64>,
     perfect_makespan_s: Option<f64>,
     disturbed_success: Option<f64>,
@@ -57,6 +59,7 @@ impl Row {
             value_loss: metrics.value_loss,
             gradient: metrics.gradient,
             learning_rate: metrics.learning_rate,
+            disagreement: metrics.disagreement,
             perfect_success: None,
             perfect_makespan_s: None,
             disturbed_success: None,

@@ -8,14 +8,14 @@ use std::collections::VecDeque;
 
 use rand::RngExt;
 
-use super::sight::Sight;
 use super::units::{Units, scale};
 use crate::batch::Batch;
 use crate::channels::Channels;
+use crate::experts::{Expert, ExpertTeam, TeamState};
 use crate::graphs::Graphs;
 use crate::network::{Network, Space};
+use crate::sight::Sight;
 use murmurate::messages::geometry::{Motion, Planar, Task, Vec2};
-use murmurate::messages::ids::RobotId;
 use murmurate::messages::local::Contacts;
 use murmurate::observation::Observation;
 use murmurate::policy::flock::MAX_ACCELERATION_M_S2;
@@ -23,7 +23,6 @@ use murmurate::policy::hops::action::Action;
 use murmurate::policy::hops::entry;
 use murmurate::policy::hops::hop::write_edge;
 use murmurate::policy::hops::manifest::Manifest;
-use murmurate::policy::{Model, Neighbour, Policy};
 use murmurate::random::Stream;
 use murmurate::scenario::judge::{Judge, JudgedRobot, Judgement};
 use murmurate::scenario::{Arena, Scenario};
@@ -37,9 +36,7 @@ pub struct Setting<'a> {
     /// Task of the team.
     pub scenario: &'a dyn Scenario,
     /// Policy whose actions are learnt.
-    pub expert: &'a Model,
-    /// Channels that the expert takes; `None` if it takes none.
-    pub expert_channels: Option<&'a Channels>,
+    pub expert: &'a Expert,
     /// Channels that the trained policy takes; `None` if it takes none.
     pub channels: Option<&'a Channels>,
     /// Units of the network.
@@ -117,12 +114,6 @@ struct TaughtTeam<'a> {
     graphs: Graphs,
     batch: Batch<f32>,
     space: Space<f32>,
-}
-
-/// The expert as the policy of each robot of a team.
-struct Experts {
-    robots: Vec<Box<dyn Policy>>,
-    sight: Sight,
 }
 
 /// Largest number of steps for which a message is used.
@@ -205,38 +196,19 @@ impl<'a> TaughtTeam<'a> {
         space.outputs().chunks_exact(network.outputs()).map(|output| [output[0], output[1]]).collect()
     }
 
-    /// Returns the expert's actions in the units of the network: robots step together, and messages of this step are
-    /// received within the expert's radius.
-    fn ask(&self, experts: &mut Experts, stream: &mut Stream) -> Vec<[f32; 2]> {
-        let Setting { expert, manifest, units, .. } = self.setting;
-        let (interface, robots) = (expert.interface(), self.motion.len());
-        let (mut values, mut latents) = (Vec::with_capacity(robots), Vec::with_capacity(robots));
-        for (robot, expert) in experts.robots.iter_mut().enumerate() {
-            let seen = experts.sight.see(self.own(robot), robot, &self.tasks);
-            let mut features = vec![0.0; interface.features];
-            expert.encode(&seen, &mut features);
-            values.push(seen.values.to_vec());
-            latents.push(features);
-        }
-        let radius = interface.radius_m;
-        let action = |(robot, expert): (usize, &mut Box<dyn Policy>)| {
-            let own = self.motion[robot];
-            let near = |other: &usize| {
-                let square = (self.motion[*other].position - own.position).norm_squared();
-                *other != robot && square <= radius * radius
-            };
-            let neighbour =
-                |other: usize| Neighbour { motion: self.motion[other], features: &latents[other], age: Span::ZERO };
-            let neighbours: Vec<Neighbour> = (0..robots).filter(near).map(neighbour).collect();
-            let seen = Observation { values: &values[robot], ..self.own(robot) };
-            let velocity = expert.act(&seen, &latents[robot], &neighbours, stream);
+    /// Returns the expert's actions in the units of the network.
+    fn ask(&self, experts: &mut ExpertTeam, stream: &mut Stream) -> Vec<[f32; 2]> {
+        let Setting { manifest, units, .. } = self.setting;
+        let own: Vec<Observation<'static>> = (0..self.motion.len()).map(|robot| self.own(robot)).collect();
+        let state = TeamState { own: &own, motion: &self.motion, tasks: &self.tasks };
+        let action = |(velocity, own): (Vec2, &Motion)| {
             let action = match manifest.action {
                 Action::Velocity => velocity,
                 Action::Acceleration => (velocity - own.velocity) / PERIOD.as_secs() as f32,
             };
             action.to_array().map(|axis| limited(axis, largest(manifest)) / units.action)
         };
-        experts.robots.iter_mut().enumerate().map(action).collect()
+        experts.ask(&state, stream).into_iter().zip(&self.motion).map(action).collect()
     }
 }
 
@@ -275,7 +247,7 @@ pub fn run(
     let mut judge = Judge::new(scenario.rules(), goals).with_cost(scenario.cost());
     let drawn = scenario.drawn_arena(layout.0, layout.1);
     let arena = drawn.as_ref().unwrap_or(scenario.arena());
-    let mut experts = (taught == Taught::Yes).then(|| Experts::new(setting, drawn.as_ref(), tasks.len()));
+    let mut experts = (taught == Taught::Yes).then(|| setting.expert.team(scenario, drawn.as_ref()));
     let physics = Physics::published(arena);
     let mut team = TaughtTeam::new(setting, tasks, messages);
     let mut world = World::new(&team.motion);
@@ -315,19 +287,6 @@ impl Setting<'_> {
             Action::Acceleration => motion.velocity + action * PERIOD.as_secs() as f32,
         };
         velocity.map(|axis| axis.clamp(-limit_m_s, limit_m_s))
-    }
-}
-
-impl Experts {
-    /// Makes the expert of each of `robots` robots. `drawn` is the arena of the episode, if it is not the scenario's.
-    fn new(setting: Setting, drawn: Option<&Arena>, robots: usize) -> Experts {
-        let Setting { scenario, expert, expert_channels, .. } = setting;
-        let instance = |robot: RobotId| {
-            let mut instance = expert.instance(scenario.arena(), robot);
-            drawn.into_iter().for_each(|arena| instance.enter(arena));
-            instance
-        };
-        Experts { robots: RobotId::team(robots).map(instance).collect(), sight: Sight::new(expert_channels, robots) }
     }
 }
 

@@ -11,6 +11,5 @@ pub mod config;
 pub mod episode;
 pub mod learn;
 pub mod setup;
-pub mod sight;
 pub mod trainer;
 pub mod units;

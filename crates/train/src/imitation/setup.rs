@@ -2,9 +2,8 @@
 
 use std::sync::Arc;
 
-use super::sight::Sight;
 use crate::channels::Channels;
-use murmurate::messages::geometry::{Motion, Task};
+use crate::experts::known;
 use murmurate::observation::Request;
 use murmurate::scenario::{Scenario, ScenarioError};
 
@@ -53,12 +52,7 @@ pub enum SetupError {
 /// scenario has not, or that one of them has no value in training.
 pub(super) fn channels(requests: &[Request], scenario: &Arc<dyn Scenario>) -> Result<Option<Channels>, String> {
     let channels = Channels::of_scenario(requests, scenario).map_err(|error| error.to_string())?;
-    let told: Vec<Option<Task>> = scenario.tasks(0, 0).into_iter().map(Some).collect();
-    let start = told.iter().flatten().next().expect("a team has a robot");
-    let own = scenario.observe(start, &Motion::at_rest(start.start));
-    let mut sight = Sight::new(channels.as_ref(), told.len());
-    let known = sight.see(own, 0, &told).values.iter().all(|value| value.is_finite());
-    match known {
+    match known(channels.as_ref(), &**scenario) {
         true => Ok(channels),
         false => {
             Err("a channel has no value in training by imitation, which knows no heading; leave it out".to_owned())

@@ -16,19 +16,18 @@ use super::units::Units;
 use crate::adam::Adam;
 use crate::channels::Channels;
 use crate::checkpoint::vector_instructions;
+use crate::experts::Expert;
 use crate::learner::{Initial, Learner, SHARDS};
 use crate::network::{Network, Shape};
 use crate::parallel::in_parallel;
 use crate::policy;
 use crate::trainer::Diverged;
 use murmurate::config::kinds::FileKind;
-use murmurate::messages::ids::RobotId;
 use murmurate::observation::PolicyFrame;
 use murmurate::policy::file::AnyManifest;
 use murmurate::policy::hops::entry;
 use murmurate::policy::hops::manifest::Manifest;
 use murmurate::policy::manifest::Training;
-use murmurate::policy::{Model, ModelError};
 use murmurate::random::{Seed, Stream};
 use murmurate::registry::Registry;
 use murmurate::scenario::judge::{Judgement, Verdict};
@@ -91,8 +90,7 @@ pub struct Score {
 pub struct Trainer {
     plan: Plan,
     scenario: Arc<dyn Scenario>,
-    expert: Model,
-    expert_channels: Option<Channels>,
+    expert: Expert,
     channels: Option<Channels>,
     units: Units,
     manifest: Manifest,
@@ -131,33 +129,17 @@ impl Trainer {
         }
         let name = plan.config.expert.clone();
         let wrong = |why: String| SetupError::Expert { name: name.clone(), why };
-        let entry = registry.policy(&name).ok_or_else(|| wrong("there is no policy of this name".to_owned()))?;
-        let expert = (entry.build)(&*scenario).map_err(|error: ModelError| wrong(error.to_string()))?;
-        if expert.instance(scenario.arena(), RobotId(0)).hops() > 1 {
-            return Err(wrong("a policy of several hops is no expert".to_owned()));
-        }
+        let expert = Expert::new(registry, &name, &scenario).map_err(wrong)?;
         let manifest = plan.config.manifest(&plan.scenario);
         let shape = Shape::of_manifest(&AnyManifest::Format2(manifest.clone()));
         let shape = shape.expect("a checked configuration has a supported network");
         let of_policy =
             channels(&entry::requests(&manifest.observation), &scenario).map_err(SetupError::Observation)?;
-        let expert_channels = channels(expert.requests(), &scenario).map_err(wrong)?;
         let units = Units::new(&manifest, &plan.config.imitation);
         let mut stream = Seed::of_run(plan.seed).stream("train/imitation/initial");
         let learner = Learner::new(Network::new(shape), Initial::Uniform, &mut stream);
         let (iteration, decisions) = (0, 0);
-        Ok(Trainer {
-            plan,
-            scenario,
-            expert,
-            expert_channels,
-            channels: of_policy,
-            units,
-            manifest,
-            learner,
-            iteration,
-            decisions,
-        })
+        Ok(Trainer { plan, scenario, expert, channels: of_policy, units, manifest, learner, iteration, decisions })
     }
 
     fn stream(&self, name: &str) -> Stream {
@@ -170,7 +152,6 @@ impl Trainer {
         Setting {
             scenario: &**scenario,
             expert,
-            expert_channels: self.expert_channels.as_ref(),
             channels: self.channels.as_ref(),
             units,
             repeat: self.plan.config.imitation.repeat,

@@ -1,4 +1,5 @@
-//! Channels that a policy takes in a rollout of imitation, with what they remember of the robots of a team.
+//! Channels that a policy takes besides those of the one that is trained, with what they remember of the robots of a
+//! team.
 
 use crate::channels::Channels;
 use murmurate::messages::geometry::Task;
@@ -27,7 +28,7 @@ impl Sight {
     pub fn see(&mut self, own: Observation<'static>, robot: usize, team: &[Option<Task>]) -> Observation<'_> {
         let Sight { channels: Some(channels), memory } = self else { return own };
         let floats = memory.len() / team.len();
-        let task = team[robot].as_ref().expect("in training every task is known");
+        let task = team[robot].as_ref().expect("in trainings every task is known");
         let values = channels.values(&mut memory[robot * floats..][..floats], &own, (task, team));
         Observation { values, ..own }
     }
