@@ -71,6 +71,7 @@ fn guard_tick(bencher: Bencher) {
         safety: Safety::deployed(),
         half_extent: passage.arena().half_extent,
         walls: passage.arena().keep_outs.as_slice().into(),
+        movers: passage.arena().movers.as_slice().into(),
         limit_m_s: 1.5,
         clamp: Clamp::Deployed,
         period: Span::from_millis(50),

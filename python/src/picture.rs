@@ -38,7 +38,7 @@ impl Picture {
     /// Returns the picture of the team with index `team`: ground with walls, goals as rings, robots as discs. `goals`
     /// says whether the robots have goals.
     pub fn of(environments: &Environments, team: usize, goals: bool) -> Picture {
-        let arena = environments.arena(team);
+        let arena = environments.arena_now(team);
         let half = arena.half_extent + Vec2::repeat(arena.robot_radius_m);
         let scale = LARGEST / (2.0 * half.x.max(half.y));
         let pixels = |metres: f32| ((2.0 * metres * scale).round() as usize).max(1);

@@ -134,10 +134,11 @@ impl Controller {
         }
         self.guard.new_instruction();
         if let Some(arena) = self.layouts.arena(mode.round.episode) {
-            self.guard.enter(arena.keep_outs.as_slice().into());
+            self.guard.enter(arena);
         }
         self.round.follow(mode.round);
         self.team = mode.phase;
+        self.guard.runs((mode.phase == Phase::Running).then_some(now));
         self.own = match mode.phase {
             Phase::Resetting | Phase::Running | Phase::EpisodesFinished | Phase::Waiting => mode.phase,
             _ => Phase::NeedReset,
@@ -292,6 +293,7 @@ mod tests {
                 safety: Safety::emulated(),
                 half_extent: Vec2::new(2.0, 3.0),
                 walls: Default::default(),
+                movers: Default::default(),
                 limit_m_s: 1.5,
                 clamp,
                 period: Span::from_millis(50),
@@ -505,7 +507,15 @@ mod tests {
         };
         let mut cache = Cache::new(config, Seed::of_run(0).stream("cache"));
         let (safety, half_extent, clamp) = (Safety::deployed(), Vec2::new(2.0, 3.0), Clamp::Training);
-        let guard = filter::Settings { safety, half_extent, walls: Arc::default(), limit_m_s: 1.5, clamp, period };
+        let guard = filter::Settings {
+            safety,
+            half_extent,
+            walls: Arc::default(),
+            movers: Arc::default(),
+            limit_m_s: 1.5,
+            clamp,
+            period,
+        };
         let mut controller = Controller::new(Config {
             robot,
             guard,

@@ -335,7 +335,8 @@ impl Recorder {
         let centre = self.config.chassis[reading.robot.index()].centre(reading);
         let Some(Sighting { at, robots, lapsed }) = self.sightings.see(now, reading, centre) else { return };
         let (fixed, episode) = (self.config.scenario.arena(), self.round.episode);
-        let arena = self.config.layouts.arena(episode).map_or(fixed, |arena| &**arena);
+        let running = (self.phase == Phase::Running).then(|| at.since(self.since));
+        let arena = self.config.layouts.arena(episode).map_or(fixed, |arena| &**arena).at(running);
         let radius_m = self.config.wall_radius_m;
         let seen = |(robot, Spot { centre, point, velocity }): (RobotId, Spot)| {
             let contacts = Contacts { wall: arena.clearance(centre) <= radius_m, robot: false };

@@ -65,6 +65,8 @@ pub struct PersistentPlant {
     last_mode: (Round, Phase),
     /// Episode from which on robots are placed, because the reset before it has failed.
     repair_from: Option<u32>,
+    /// Time since which the episode runs; `None` while none runs.
+    running: Option<Time>,
     /// Episode whose obstacles are in the plant; `None` before the first, or if all episodes have one arena.
     entered: Option<u32>,
 }
@@ -78,6 +80,7 @@ impl PersistentPlant {
             placed,
             last_mode: (Round::default(), Phase::NeedReset),
             repair_from: None,
+            running: None,
             entered: None,
         }
     }
@@ -250,17 +253,22 @@ impl World {
         };
         let mut robots: Vec<Standing> = ids.zip(persistent.plant.states()).map(standing).collect();
         robots.sort_by_key(|standing| standing.robot);
-        let episode = persistent.last_mode.0.episode;
-        Scene { time: now, placed, episode, robots: robots.into(), observed }
+        let (episode, elapsed) = (persistent.last_mode.0.episode, persistent.running.map(|since| now.since(since)));
+        Scene { time: now, placed, episode, elapsed, robots: robots.into(), observed }
     }
 
     /// Returns whether the World places robots at their starts for the instruction `mode`, and stores the instruction's
-    /// round and phase.
-    fn is_to_place(&mut self, mode: &Mode) -> bool {
+    /// round and phase, with the time from which on the episode runs.
+    fn is_to_place(&mut self, now: Time, mode: &Mode) -> bool {
         let mut persistent = self.persistent.borrow_mut();
         let (round, phase) = persistent.last_mode;
         if (phase, mode.phase) == (Phase::Resetting, Phase::AbortRunning) && round.episode == mode.round.episode {
             persistent.repair_from = Some(round.episode + 1);
+        }
+        if mode.phase != Phase::Running {
+            persistent.running = None;
+        } else if phase != Phase::Running || round.episode != mode.round.episode {
+            persistent.running = Some(now);
         }
         persistent.last_mode = (mode.round, mode.phase);
         match self.placement {
@@ -361,7 +369,7 @@ impl Core for World {
                 if let Some(observing) = &mut self.observing {
                     observing.follow(now, &mode);
                 }
-                let places = self.is_to_place(&mode);
+                let places = self.is_to_place(now, &mode);
                 let caught = self.enter(&mode);
                 if places {
                     self.place(now, &mode, out);
@@ -392,6 +400,8 @@ impl Core for World {
                     persistent.plant.carry(other.index, motion, heading);
                 }
             }
+            let elapsed = persistent.running.map(|since| now.since(since));
+            persistent.plant.elapse(elapsed);
             persistent.plant.advance();
         }
         let samples = self.samples(now);

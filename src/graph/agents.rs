@@ -31,7 +31,7 @@ pub(super) fn agent_of(trial: &Trial, robots: &[RobotId], incarnation: u32) -> A
             every: trial.models.every(robot, tick),
             channels: trial.channels(robot).unwrap_or_else(|error| panic!("the policy was checked: {error}")),
             run: trial.models.of(robot).instance(&arena, robot),
-            reset: RESET.instance(&arena, robot),
+            reset: RESET.instance(&arena.at(None), robot),
             actions: seed.stream(&format!("agent/{}/action/{incarnation}", robot.0)),
             resets: seed.stream(&format!("agent/{}/reset/{incarnation}", robot.0)),
             ranges: seed.stream(&format!("agent/{}/range/{incarnation}", robot.0)),

@@ -172,6 +172,7 @@ fn guard_config(trial: &Trial, robot: RobotId, period: Span, chassis: &[Chassis]
         safety: trial.safety.about_point(own.point_ahead_m, farthest_m),
         half_extent: trial.scenario.arena().half_extent.add_scalar(-own.point_ahead_m),
         walls: trial.scenario.arena().keep_outs.as_slice().into(),
+        movers: trial.scenario.arena().movers.as_slice().into(),
         // At most the speed of the chassis, so that the guard judges the velocity that is really driven.
         limit_m_s: trial.models.of(robot).interface().limit_m_s.min(own.speed_m_s),
         clamp: trial.clamp,

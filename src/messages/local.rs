@@ -137,6 +137,8 @@ pub struct Scene {
     pub placed: bool,
     /// Index of the episode, from zero, whose obstacles stand.
     pub episode: u32,
+    /// Time since the episode runs, by which moving obstacles are where they are; `None` while none runs.
+    pub elapsed: Option<Span>,
     /// Poses of the robots, in the order of robot ids.
     pub robots: Arc<[Standing]>,
     /// Values of the sense `task` of all robots, in the order of robot ids; empty without it.

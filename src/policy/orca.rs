@@ -303,7 +303,17 @@ impl Policy for Orca {
             }
             Cow::Owned(agent(now, assumed_velocity, neighbour.features[0], share))
         });
-        let others: Vec<Cow<Agent>> = others.collect();
+        let movers = self.arena.movers.iter().flat_map(|mover| {
+            let (now, radius_m) = mover.disc(own.elapsed);
+            let (then, _) = mover.disc(own.elapsed + Span::from_secs(f64::from(HORIZON_S)));
+            // One that turns within the horizon is also avoided as if it were on its way after the turn already.
+            let turned = Motion { position: then.position - then.velocity * HORIZON_S, ..then };
+            let ways = [Some(now), (then.velocity != now.velocity).then_some(turned)];
+            // It gives no way: the robot does all of the avoidance.
+            ways.into_iter().flatten().map(move |way| (way, radius_m))
+        });
+        let movers = movers.map(|(way, radius_m)| Cow::Owned(agent(way.position, way.velocity, radius_m, 0.0)));
+        let others: Vec<Cow<Agent>> = others.chain(movers).collect();
         let obstacles: Vec<Cow<Obstacle>> = self.obstacles.iter().map(Cow::Borrowed).collect();
         let velocity = agent(at, own.motion.velocity, self.arena.robot_radius_m, 1.0).compute_avoiding_velocity(
             &others,

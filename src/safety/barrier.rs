@@ -9,7 +9,8 @@
 use super::limits::{Limit, geofence};
 use super::stopping::Model;
 use crate::messages::geometry::{Motion, Vec2};
-use crate::scenario::KeepOut;
+use crate::scenario::{KeepOut, Mover};
+use crate::time::Span;
 
 /// Length below which an offset has no direction \[m\].
 const LEAST_M: f32 = 1e-6;
@@ -17,6 +18,13 @@ const LEAST_M: f32 = 1e-6;
 /// How often the room that is left is reduced by the distance between a robot's way to its stopping point and the
 /// straight line: once for the way itself, and once for a robot that does not brake but slides along its limits.
 const BENDS: f32 = 2.0;
+
+/// Longest time for which a robot hears later than others that the episode runs, and moving obstacles with it.
+const LATE: Span = Span::from_millis(200);
+
+/// Share of what its drive can do with which a robot gets out of the way of a moving obstacle, so that there is a choice
+/// of directions.
+const AWAY: f32 = 0.8;
 
 /// Parameters from which the safety filter of one robot computes the limits that neighbours and walls set.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -71,17 +79,48 @@ impl Barrier {
         Limit { along, most_m_s: self.gain_per_s * room_m.max(0.0) }
     }
 
+    /// Returns the limits that a moving obstacle sets to the velocity of a robot's stopping point, at the time
+    /// `elapsed` since the episode runs. `own` is the robot's motion, world frame.
+    ///
+    /// There is one limit for where the obstacle is, and one for where it will be once the robot has followed its
+    /// command: as long after as the robot's drive lags, and as the robot may have heard late that the episode runs.
+    pub fn mover(&self, own: &Motion, mover: &Mover, elapsed: Span) -> [Limit; 2] {
+        [Span::ZERO, Span::from_secs(f64::from(self.model.lag_s())) + LATE].map(|ahead| {
+            let (block, velocity) = (mover.block(elapsed + ahead), mover.motion(elapsed + ahead).velocity);
+            let (along, room_m) = self.room(own, &block);
+            // What moves away is not followed, since it may turn.
+            let most_m_s = 2.0 * self.gain_per_s * room_m + along.dot(&velocity).min(0.0);
+            Limit { along, most_m_s: most_m_s.max(self.fastest_away(own.velocity, along)) }
+        })
+    }
+
+    /// Returns the component along a direction with which the stopping point of a robot that moves at `velocity` gets
+    /// away from it fastest \[m/s\]: zero or less.
+    fn fastest_away(&self, velocity: Vec2, along: Vec2) -> f32 {
+        let axis = |n: f32, v: f32| {
+            let (low, high) = self.model.reach(v);
+            (n * low).min(n * high)
+        };
+        AWAY * (axis(along.x, velocity.x) + axis(along.y, velocity.y))
+    }
+
     /// Returns the limit that a solid block sets to the velocity of a robot's stopping point. `own` is the robot's
     /// motion, world frame.
     pub fn wall(&self, own: &Motion, block: &KeepOut) -> Limit {
+        let (along, room_m) = self.room(own, block);
+        Limit { along, most_m_s: 2.0 * self.gain_per_s * room_m.max(0.0) }
+    }
+
+    /// Returns the direction from a robot and its way to its stopping point to a block, and the room along it that is
+    /// left to the stopping point \[m\].
+    fn room(&self, own: &Motion, block: &KeepOut) -> (Vec2, f32) {
         let from = own.position;
         let to = from + self.model.travel(own.velocity);
         let (point, solid) = nearest_pair(from, to, block);
         let centre = (block.min + block.max) * 0.5;
         let along = (solid - point).try_normalize(LEAST_M).or_else(|| (centre - from).try_normalize(LEAST_M));
         let along = along.unwrap_or_else(Vec2::x);
-        let room_m = along.dot(&(solid - to)) - BENDS * self.model.bend(own.velocity) - self.wall_min_m;
-        Limit { along, most_m_s: 2.0 * self.gain_per_s * room_m.max(0.0) }
+        (along, along.dot(&(solid - to)) - BENDS * self.model.bend(own.velocity) - self.wall_min_m)
     }
 
     /// Returns the limits that the four edges of the ground set to the velocity of a robot's stopping point. `own` is

@@ -1,8 +1,8 @@
 //! Safety filter: reduces a commanded velocity until the robot can stop before its neighbours, the walls and the
 //! geofence.
 //!
-//! The limits are those of the velocity of the robot's stopping point (`stopping`). Zero satisfies them all, so there
-//! always is an answer. The filter does no I/O, and allocates nothing once it is made.
+//! The limits are those of the velocity of the robot's stopping point (`stopping`). Zero satisfies them all, unless a
+//! moving obstacle comes near. The filter does no I/O, and allocates nothing once it is made.
 
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ use super::yielding::{Close, Yielding};
 use super::{Safety, Switch};
 use crate::messages::geometry::{Motion, Vec2, is_finite};
 use crate::safety::Clamp;
-use crate::scenario::KeepOut;
+use crate::scenario::{Arena, KeepOut, Mover};
 use crate::time::Span;
 
 /// Settings of the guard of one robot and of its safety filter: thresholds, ground, walls, and limits of commands.
@@ -25,6 +25,8 @@ pub struct Settings {
     pub half_extent: Vec2,
     /// Solid blocks of the arena that the robot must not touch, world frame.
     pub walls: Arc<[KeepOut]>,
+    /// Obstacles that move while an episode runs, world frame.
+    pub movers: Arc<[Mover]>,
     /// Largest commanded speed along each axis \[m/s\].
     pub limit_m_s: f32,
     /// Limit of speed, and possibly of the difference from the measured velocity, that is applied to a policy's
@@ -62,6 +64,8 @@ pub struct Filter {
     settings: Settings,
     barrier: Barrier,
     yielding: Yielding,
+    /// Time since the episode runs; `None` while none runs.
+    elapsed: Option<Span>,
 }
 
 impl Filter {
@@ -76,12 +80,19 @@ impl Filter {
             gain_per_s: safety.distance_gain_per_s,
             delay_s: safety.distance_delay_s,
         };
-        Filter { settings, barrier, yielding: Yielding::default() }
+        Filter { settings, barrier, yielding: Yielding::default(), elapsed: None }
     }
 
-    /// Sets the solid blocks of the arena, world frame, from now on.
-    pub(crate) fn enter(&mut self, walls: Arc<[KeepOut]>) {
-        self.settings.walls = walls;
+    /// Sets the solid blocks and the moving obstacles of the arena, world frame, from now on.
+    pub(crate) fn enter(&mut self, arena: &Arena) {
+        self.settings.walls = arena.keep_outs.as_slice().into();
+        self.settings.movers = arena.movers.as_slice().into();
+    }
+
+    /// Sets the time since the episode runs, by which moving obstacles are where they are at the next step. While none
+    /// runs, it is `None`, and there are no moving obstacles.
+    pub fn elapse(&mut self, elapsed: Option<Span>) {
+        self.elapsed = elapsed;
     }
 
     /// Returns the state of the filter that changes from step to step: for how long the limits have kept the robot from
@@ -98,7 +109,7 @@ impl Filter {
     /// Returns the velocity to command in place of `wanted` \[m/s\]. `own` is the robot's motion, and `neighbours` has
     /// the last known motions of others with their ages since their arrival \[s\], all in the world frame.
     pub fn apply(&mut self, own: &Motion, neighbours: impl Iterator<Item = (Motion, f32)>, wanted: Vec2) -> Filtered {
-        let Filter { settings, barrier, yielding } = self;
+        let Filter { settings, barrier, yielding, elapsed } = self;
         let Safety { geofence: fence, distance, walls, .. } = settings.safety;
         let mut filtered = Filtered { velocity: wanted, fence: false, walls: false, distance: false };
         if [fence, distance, walls] == [Switch::Off; 3] {
@@ -132,7 +143,11 @@ impl Filter {
         let fastest_m_s = turned.norm();
         if walls == Switch::On {
             let blocks = settings.walls.iter().map(|block| barrier.wall(own, block));
-            limits.extend(blocks.chain(barrier.edge(own, settings.half_extent)).filter(|l| l.most_m_s < fastest_m_s));
+            let moving = elapsed
+                .iter()
+                .flat_map(|elapsed| settings.movers.iter().flat_map(|mover| barrier.mover(own, mover, *elapsed)));
+            let all = blocks.chain(barrier.edge(own, settings.half_extent)).chain(moving);
+            limits.extend(all.filter(|limit| limit.most_m_s < fastest_m_s));
             filtered.walls = reduce(&limits);
         }
         let mut close = Close::default();
@@ -163,7 +178,8 @@ mod tests {
     fn settings(lag_s: f32, walls: Arc<[KeepOut]>) -> Settings {
         let safety = Safety::filter().driving(lag_s, 1.0);
         let (half_extent, period) = (Vec2::repeat(10.0), Span::from_millis(50));
-        Settings { safety, half_extent, walls, limit_m_s: 1.05, clamp: Clamp::Training, period }
+        let movers = Arc::default();
+        Settings { safety, half_extent, walls, movers, limit_m_s: 1.05, clamp: Clamp::Training, period }
     }
 
     /// Moves a robot whose drive lags by `lag_s` \[s\] for a control period.

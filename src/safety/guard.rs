@@ -5,8 +5,6 @@
 //! latched until a re-arm. It reads no clock: the time is an argument, and `wake_at` is its next deadline. The Body,
 //! the actor of the motors, expires the last command by itself, even if the guard has died.
 
-use std::sync::Arc;
-
 pub use super::counts::SafetyCounts;
 use super::filter::{Filter, Filtered, Settings};
 use super::hardware::Permit;
@@ -20,7 +18,7 @@ use crate::messages::local::Action;
 use crate::messages::place::Whereabouts;
 pub use crate::messages::trigger::Trigger;
 use crate::messages::wire::Stop;
-use crate::scenario::KeepOut;
+use crate::scenario::Arena;
 use crate::time::{Span, Time};
 
 /// Number of neighbours for which there is room from the start.
@@ -89,6 +87,8 @@ pub struct Guard {
     /// Whether the robot's pose is known to the host that measures it.
     whereabouts: Whereabouts,
     filter: Filter,
+    /// Time since which the episode runs; `None` while none runs.
+    running: Option<Time>,
     /// By neighbour, in the order of ids: time of its last update, the age of its state at that time, and its state.
     neighbours: Vec<(RobotId, Time, Span, Motion)>,
     /// Triggers that act at the moment.
@@ -113,6 +113,7 @@ impl Guard {
             invalid_output: false,
             unfit: false,
             whereabouts: Whereabouts::Known,
+            running: None,
             neighbours: Vec::with_capacity(MOST_NEIGHBOURS),
             acting: Vec::with_capacity(Trigger::ALL.len()),
             counts: SafetyCounts::default(),
@@ -177,10 +178,15 @@ impl Guard {
         self.end(Trigger::Silence);
     }
 
-    /// Sets the solid blocks of the arena, world frame, that the robot must not touch from now on.
-    pub(crate) fn enter(&mut self, walls: Arc<[KeepOut]>) {
-        self.settings.walls = Arc::clone(&walls);
-        self.filter.enter(walls);
+    /// Sets the solid blocks and moving obstacles of the arena, world frame, that the robot must not touch from now on.
+    pub(crate) fn enter(&mut self, arena: &Arena) {
+        self.filter.enter(arena);
+    }
+
+    /// Sets the time since which the episode runs, by which moving obstacles are where they are; `None` while none
+    /// runs.
+    pub(crate) fn runs(&mut self, since: Option<Time>) {
+        self.running = since;
     }
 
     /// Records that the state server has given a new instruction, which ends a stop for an invalid policy output.
@@ -292,6 +298,7 @@ impl Guard {
     fn filtered(&mut self, now: Time, own: &Motion, wanted: Vec2) -> Vec2 {
         let known = self.neighbours.iter();
         let known = known.map(|(_, heard, age, motion)| (*motion, (*age + now.since(*heard)).as_secs() as f32));
+        self.filter.elapse(self.running.map(|since| now.since(since)));
         let Filtered { velocity, fence, walls, distance } = self.filter.apply(own, known, wanted);
         self.set(Trigger::Fence, fence);
         self.set(Trigger::Walls, walls);
@@ -388,6 +395,8 @@ fn log(trigger: Trigger, often: &str) {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
     use crate::messages::ids::HostId;
     use crate::messages::local::{OtherRobot, Progress};
@@ -405,6 +414,7 @@ mod tests {
             safety,
             half_extent,
             walls: Arc::default(),
+            movers: Arc::default(),
             limit_m_s: 1.5,
             clamp: Clamp::Training,
             period,

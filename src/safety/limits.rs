@@ -1,6 +1,7 @@
 //! Limits of a velocity as half-planes, and the velocity nearest to a wanted one that satisfies them all.
 //!
-//! A bound is never below zero, so zero satisfies all limits, and there always is an answer.
+//! Where no bound is below zero, zero satisfies all limits. One below zero asks to get out of the way. Where no velocity
+//! satisfies all limits, the answer is zero.
 
 use crate::messages::geometry::Vec2;
 
@@ -14,7 +15,7 @@ const MOST: usize = 64;
 pub struct Limit {
     /// Direction of the bounded component: a unit vector, world frame.
     pub along: Vec2,
-    /// Upper bound of the component \[m/s\], zero or more.
+    /// Upper bound of the component \[m/s\]; below zero, if the robot has to get out of the way.
     pub most_m_s: f32,
 }
 

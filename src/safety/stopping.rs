@@ -41,6 +41,11 @@ impl Model {
         Model { lag_s, acceleration_m_s2, step_m_s: (step_m_s / effort).min(acceleration_m_s2 * lag_s), effort }
     }
 
+    /// Returns the time constant of the drive in the model \[s\].
+    pub fn lag_s(&self) -> f32 {
+        self.lag_s
+    }
+
     /// Returns the vector \[m\] from the position of a robot that moves at `velocity` \[m/s\] to its stopping point.
     pub fn travel(&self, velocity: Vec2) -> Vec2 {
         let Model { lag_s, acceleration_m_s2: most, .. } = *self;

@@ -1,8 +1,12 @@
-//! The arena of a scenario: ground, solid blocks (walls) and the bottlenecks between them. All points of an arena are
-//! in the same frame, usually the world frame.
+//! The arena of a scenario: ground, solid blocks (walls), the bottlenecks between them, and moving obstacles. All points
+//! of an arena are in the same frame, usually the world frame.
+
+use std::borrow::Cow;
 
 use super::block::KeepOut;
+use super::mover::Mover;
 use crate::messages::geometry::Vec2;
+use crate::time::Span;
 
 /// Radius of a robot's hull, as a share of the radius that is kept free about its centre.
 const HULL_PER_ROOM: f32 = 0.64;
@@ -26,12 +30,25 @@ pub struct Arena {
     pub keep_outs: Vec<KeepOut>,
     /// Bottlenecks between the blocks, through which scripted navigation plans its paths; empty if there are none.
     pub portals: Vec<Portal>,
+    /// Moving obstacles, which are there while an episode runs; empty if there are none. All else of the arena stands.
+    pub movers: Vec<Mover>,
     /// Radius that is kept free about each robot's centre \[m\], as in the paper authors' published environment: more
     /// than that of its hull (`Arena::hull_m`).
     pub robot_radius_m: f32,
 }
 
 impl Arena {
+    /// Returns the arena at an instant, in which the moving obstacles stand among the blocks. `elapsed` is the time
+    /// since the episode runs; while none runs, it is `None`, and there are no moving obstacles.
+    pub fn at(&self, elapsed: Option<Span>) -> Cow<'_, Arena> {
+        if self.movers.is_empty() {
+            return Cow::Borrowed(self);
+        }
+        let mut now = Arena { movers: Vec::new(), ..self.clone() };
+        now.keep_outs.extend(elapsed.iter().flat_map(|elapsed| self.movers.iter().map(|mover| mover.block(*elapsed))));
+        Cow::Owned(now)
+    }
+
     /// Returns the distance from `point` \[m\] to the nearest block \[m\]; infinite if the arena has no blocks.
     pub fn clearance(&self, point: Vec2) -> f32 {
         self.keep_outs.iter().map(|block| block.distance(point)).fold(f32::INFINITY, f32::min)
@@ -50,7 +67,15 @@ impl Arena {
         Arena { robot_radius_m: self.robot_radius_m + ahead_m, ..self.clone() }
     }
 
-    /// Returns true if a robot's centre may be at `point` \[m\], world frame: on the ground and touching no block.
+    /// Returns true if a robot may start at `point` \[m\], world frame, and stand there: on the ground, and touching no
+    /// block and no way of a moving obstacle.
+    pub(crate) fn has_room(&self, point: Vec2) -> bool {
+        let mut ways = self.movers.iter().flat_map(Mover::ways);
+        self.admits(point) && ways.all(|way| way.distance(point) > self.robot_radius_m)
+    }
+
+    /// Returns true if a robot's centre may be at `point` \[m\], world frame: on the ground and touching no block that
+    /// stands.
     pub(crate) fn admits(&self, point: Vec2) -> bool {
         point.x.abs() <= self.half_extent.x
             && point.y.abs() <= self.half_extent.y
@@ -64,7 +89,8 @@ mod tests {
 
     #[test]
     fn the_hull_of_the_published_robots_is_that_of_the_paper() {
-        let arena = Arena { half_extent: Vec2::zeros(), keep_outs: vec![], portals: vec![], robot_radius_m: 0.25 };
+        let (keep_outs, portals, movers) = (vec![], vec![], vec![]);
+        let arena = Arena { half_extent: Vec2::zeros(), keep_outs, portals, movers, robot_radius_m: 0.25 };
         assert_eq!(arena.hull_m(), crate::scenario::size::HULL_M);
     }
 }

@@ -117,6 +117,12 @@ impl KeepOut {
         KeepOut { min: self.min + by, max: self.max + by, outline }
     }
 
+    /// Returns the ground that the block covers while it is moved straight by an offset \[m\].
+    pub fn swept(&self, by: Vec2) -> KeepOut {
+        let corners = self.corners().chain(self.corners().map(|corner| corner + by)).collect();
+        KeepOut::rounded(hull(corners), self.radius_m())
+    }
+
     /// Returns whether the block is a rectangle along the axes.
     pub fn is_rect(&self) -> bool {
         self.outline.is_none()
@@ -337,6 +343,25 @@ impl Outline {
         }
         turns
     }
+}
+
+/// Returns the corners of the smallest convex polygon that has all `points`, counter-clockwise (Andrew, 1979).
+fn hull(mut points: Vec<Vec2>) -> Vec<Vec2> {
+    points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
+    let half = |points: &mut dyn Iterator<Item = Vec2>| {
+        let mut rim: Vec<Vec2> = Vec::new();
+        for point in points {
+            while let [.., before, last] = rim[..]
+                && (last - before).perp(&(point - last)) <= 0.0
+            {
+                rim.pop();
+            }
+            rim.push(point);
+        }
+        rim.pop();
+        rim
+    };
+    [half(&mut points.iter().copied()), half(&mut points.iter().rev().copied())].concat()
 }
 
 /// Returns the point of the straight line between two points that is nearest to `point`.

@@ -133,7 +133,7 @@ fn tasks(scenario: &dyn Scenario) -> Result<(), String> {
             layout::check(scenario, &tasks).map_err(|why| format!("{why}, {at}"))?;
         }
         for (robot, place) in places.iter().enumerate() {
-            require(arena.admits(*place), || format!("robot {robot} has no room at {}, {at}", place.shown()))?;
+            require(arena.has_room(*place), || format!("robot {robot} has no room at {}, {at}", place.shown()))?;
             let near = |other: &Vec2| (*other - *place).norm() <= 2.0 * arena.robot_radius_m;
             require(!places[..robot].iter().any(near), || format!("robot {robot} overlaps another, {at}"))?;
             let arrived = scenario.reached(&tasks[robot], tasks[robot].start);
@@ -152,7 +152,7 @@ fn courses(scenario: &dyn Scenario, arena: &Arena, (seed, episode): (u64, u32)) 
     let Some(first) = waypoints.first() else { return Ok(()) };
     let (robots, of_each) = (scenario.robots(), waypoints.iter().all(|course| course.len() == first.len()));
     require(waypoints.len() == robots && of_each, || "robots have not equally many waypoints")?;
-    let outside = waypoints.iter().flatten().find(|place| !arena.admits(**place));
+    let outside = waypoints.iter().flatten().find(|place| !arena.has_room(**place));
     require(outside.is_none(), || format!("no robot has room at the waypoint {:?}", outside.map(Planar::shown)))
 }
 
@@ -165,7 +165,9 @@ fn entered(scenario: &dyn Scenario, (tasks, arena): (&[Task], &Arena)) -> Result
         arena.half_extent == scenario.arena().half_extent && arena.robot_radius_m == scenario.arena().robot_radius_m;
     require(is_ground, || "the ground of an episode is another one")?;
     for (robot, task) in tasks.iter().enumerate() {
-        require(arena.admits(task.start), || format!("robot {robot} starts in an obstacle at {}", task.start.shown()))?;
+        require(arena.has_room(task.start), || {
+            format!("robot {robot} starts in an obstacle at {}", task.start.shown())
+        })?;
         let is_turned = scenario.frame(task) != PolicyFrame::World;
         require(!is_turned, || "a policy frame that is not the world frame, with obstacles that are drawn")?;
     }

@@ -70,6 +70,7 @@ pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
         half_extent: Vec2::repeat(disc_m + ROOM_M),
         keep_outs: Vec::new(),
         portals: Vec::new(),
+        movers: Vec::new(),
         robot_radius_m: size.robot_radius_m(),
     };
     Ok(Arc::new(Flocking { robots, disc_m, size, arena }))

@@ -199,7 +199,7 @@ pub fn check(scenario: &dyn Scenario, tasks: &[Task]) -> Result<(), String> {
     for &(end, pick) in ends {
         for (robot, task) in tasks.iter().enumerate() {
             let at = pick(task);
-            if !is_finite(at) || !scenario.arena().admits(at) {
+            if !is_finite(at) || !scenario.arena().has_room(at) {
                 return Err(format!("robot {robot} cannot have its {end} at ({}, {})", at.x, at.y));
             }
             let near = |other: &&Task| (pick(other) - at).norm() < 2.0 * scenario.arena().robot_radius_m;

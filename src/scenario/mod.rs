@@ -14,6 +14,7 @@ mod flocking;
 pub mod goals;
 pub mod judge;
 pub mod layout;
+mod mover;
 mod passage;
 mod polygon;
 pub mod sightings;
@@ -31,6 +32,7 @@ pub use block::{KeepOut, Solid};
 pub use cost::Cost;
 pub use error::ScenarioError;
 pub use goals::Goals;
+pub use mover::Mover;
 pub use size::Size;
 pub use task_file::TaskFile;
 pub use weights::Weights;
@@ -89,7 +91,8 @@ pub trait Scenario: Debug + Send + Sync {
     /// Returns the arena: ground, walls and bottlenecks, in the world frame. It has what is the same in all episodes.
     fn arena(&self) -> &Arena;
 
-    /// Returns the arena of an episode: that of `arena`, with the obstacles that are drawn for this episode alone.
+    /// Returns the arena of an episode: that of `arena`, with the obstacles that are drawn for this episode alone, and
+    /// moving obstacles where they begin in it.
     /// `seed` is the seed of the run, and `episode` counts from 0. `None`, the default, means that every episode has
     /// the arena of `arena`. It must not depend on the episode whether there is one.
     ///

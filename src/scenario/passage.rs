@@ -113,6 +113,7 @@ impl Passage {
             half_extent,
             keep_outs: vec![right, left],
             portals: vec![Portal { near: -mouth, far: mouth }],
+            movers: Vec::new(),
             robot_radius_m: radius,
         };
         let lane_half_m = (half - radius - size.length(LANE_M)).max(0.0);

@@ -58,6 +58,7 @@ pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
         half_extent: Vec2::new(per_row as f32 * pitch.x, rows as f32 * pitch.y) / 2.0,
         keep_outs: Vec::new(),
         portals: Vec::new(),
+        movers: Vec::new(),
         robot_radius_m: size.robot_radius_m(),
     };
     Ok(Arc::new(Swap { robots, per_row, pitch, size, arena }))

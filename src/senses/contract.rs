@@ -37,6 +37,7 @@ pub fn check(entry: &Entry) -> Result<(), String> {
             half_extent: Vec2::new(3.0, 3.0),
             keep_outs: Vec::new(),
             portals: Vec::new(),
+            movers: Vec::new(),
             robot_radius_m: 0.25,
         };
         let stream = Seed::of_run(1).stream("sense");
@@ -75,7 +76,7 @@ fn fed(sense: &mut dyn Sense) -> Result<Vec<Out>, String> {
             })
             .collect();
         let observed = (0..robots.len() * OBSERVED).map(|_| stream.random_range(-3.0..3.0)).collect();
-        let scene = Scene { time: now, placed: step % 20 == 0, episode: 0, robots, observed };
+        let scene = Scene { time: now, placed: step % 20 == 0, episode: 0, elapsed: None, robots, observed };
         sense.take(now, In::Scene(&scene), &mut out);
         let length = stream.random_range(0..100);
         let packet: Vec<u8> = (0..length).map(|_| stream.random()).collect();

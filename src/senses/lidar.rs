@@ -232,7 +232,8 @@ impl Measure for Lidar {
         let own = &scene.robots[at];
         let others = scene.robots.iter().filter(|other| other.robot != self.robot).map(|other| other.centre);
         let mut values = vec![0.0; self.scanner.rays()];
-        self.scanner.scan(&self.arena, (own.centre, own.heading, own.heading), others, &mut values);
+        let arena = self.arena.at(scene.elapsed);
+        self.scanner.scan(&arena, (own.centre, own.heading, own.heading), others, &mut values);
         self.scanner.disturb(&mut self.stream, &mut values);
         Some(values)
     }
@@ -259,7 +260,13 @@ mod tests {
 
     fn arena() -> Arena {
         let wall = KeepOut::rect(Vec2::new(-1.0, 1.0), Vec2::new(1.0, 1.2));
-        Arena { half_extent: Vec2::new(3.0, 3.0), keep_outs: vec![wall], portals: Vec::new(), robot_radius_m: 0.25 }
+        Arena {
+            half_extent: Vec2::new(3.0, 3.0),
+            keep_outs: vec![wall],
+            portals: Vec::new(),
+            movers: Vec::new(),
+            robot_radius_m: 0.25,
+        }
     }
 
     /// Makes a lidar of robot 0 with four rays: behind, to the right, ahead, to the left.
@@ -272,7 +279,14 @@ mod tests {
     fn scene(ms: u64, placed: bool) -> Scene {
         let standing = |robot, x, y| Standing { robot: RobotId(robot), centre: Vec2::new(x, y), heading: 0.0 };
         let robots = [standing(0, 0.0, 0.0), standing(1, 2.0, 0.0), standing(2, 0.0, -9.0)].into();
-        Scene { time: Time::ZERO + Span::from_millis(ms), placed, episode: 0, robots, observed: Arc::default() }
+        Scene {
+            time: Time::ZERO + Span::from_millis(ms),
+            placed,
+            episode: 0,
+            elapsed: None,
+            robots,
+            observed: Arc::default(),
+        }
     }
 
     fn scans(sense: &mut dyn Sense, scene: &Scene) -> Vec<Vec<f32>> {

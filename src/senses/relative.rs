@@ -14,7 +14,7 @@ use crate::messages::ids::RobotId;
 use crate::messages::local::{Scene, Standing};
 use crate::observation::Unit;
 use crate::random::{self, RngExt, Stream};
-use crate::scenario::{Arena, KeepOut};
+use crate::scenario::Arena;
 
 /// Description of the sense `relative` in one line, for lists of all kinds.
 pub(super) const ABOUT: &str = "simulated: distance, bearing and heading of the robots in view";
@@ -87,8 +87,7 @@ pub(super) fn make(settings: &Settings, _: RobotId) -> Result<Parts, ConfigError
     let layout = Layout { shape: vec![config.most, VALUES], unit: Unit::One, sweep: None };
     Ok(Parts::simulated(layout, config.pace(), move |site: Site| Relative {
         robot: site.robot,
-        blocks: site.arena.keep_outs.clone(),
-        hull_m: site.arena.hull_m(),
+        arena: site.arena.clone(),
         stream: site.stream,
         config: config.clone(),
     }))
@@ -98,8 +97,7 @@ pub(super) fn make(settings: &Settings, _: RobotId) -> Result<Parts, ConfigError
 struct Relative {
     robot: RobotId,
     config: Config,
-    blocks: Vec<KeepOut>,
-    hull_m: f32,
+    arena: Arena,
     stream: Stream,
 }
 
@@ -116,18 +114,18 @@ fn turned(angle: f32) -> f32 {
     wrapped(angle.into()) as f32
 }
 
-impl Relative {
-    /// Returns whether nothing is between the centres of two robots: no wall, and no hull of a third robot.
-    fn sees(&self, own: &Standing, other: &Standing, robots: &[Standing]) -> bool {
-        let way = other.centre - own.centre;
-        let is_between = |third: &Standing| {
-            let share = ((third.centre - own.centre).dot(&way) / way.norm_squared()).clamp(0.0, 1.0);
-            (own.centre + way * share - third.centre).norm() < self.hull_m
-        };
-        let mut thirds = robots.iter().filter(|third| third.robot != own.robot && third.robot != other.robot);
-        !self.blocks.iter().any(|block| block.blocks(own.centre, other.centre, 0.0)) && !thirds.any(is_between)
-    }
+/// Returns whether nothing is between the centres of two robots: no wall, and no hull of a third robot.
+fn sees(arena: &Arena, [own, other]: [&Standing; 2], robots: &[Standing]) -> bool {
+    let (way, hull_m) = (other.centre - own.centre, arena.hull_m());
+    let is_between = |third: &Standing| {
+        let share = ((third.centre - own.centre).dot(&way) / way.norm_squared()).clamp(0.0, 1.0);
+        (own.centre + way * share - third.centre).norm() < hull_m
+    };
+    let mut thirds = robots.iter().filter(|third| third.robot != own.robot && third.robot != other.robot);
+    !arena.keep_outs.iter().any(|block| block.blocks(own.centre, other.centre, 0.0)) && !thirds.any(is_between)
+}
 
+impl Relative {
     /// Returns whether a place at this distance and bearing is in range and in view.
     fn covers(&self, distance_m: f32, bearing_rad: f32) -> bool {
         let half = self.config.opening_rad.unwrap_or(TAU) / 2.0;
@@ -145,11 +143,12 @@ impl Relative {
     /// Returns the detections in a scene, the nearest first; `None` if the robot is not in it.
     fn detections(&mut self, scene: &Scene) -> Option<Vec<Detection>> {
         let own = *scene.robots.iter().find(|standing| standing.robot == self.robot)?;
+        let arena = self.arena.at(scene.elapsed).into_owned();
         let mut found = Vec::new();
         for other in scene.robots.iter().filter(|other| other.robot != own.robot) {
             let way: Vec2 = other.centre - own.centre;
             let (distance_m, bearing_rad) = (way.norm(), turned(libm::atan2f(way.y, way.x) - own.heading));
-            if !self.covers(distance_m, bearing_rad) || !self.sees(&own, other, &scene.robots) {
+            if !self.covers(distance_m, bearing_rad) || !sees(&arena, [&own, other], &scene.robots) {
                 continue;
             }
             if self.chance(self.config.misses) {
@@ -187,7 +186,7 @@ impl Measure for Relative {
     }
 
     fn enter(&mut self, arena: &Arena) {
-        self.blocks.clone_from(&arena.keep_outs);
+        self.arena.clone_from(arena);
     }
 }
 
@@ -199,6 +198,7 @@ mod tests {
     use super::super::{In, Out, Sense};
     use super::*;
     use crate::random::Seed;
+    use crate::scenario::KeepOut;
     use crate::time::{Span, Time};
 
     fn settings(text: &str) -> Settings {
@@ -209,7 +209,8 @@ mod tests {
         let parts = make(&settings(&format!("most = 3\nrange_m = 4.0\n{more}")), RobotId(0)).expect("it is valid");
         let wall = KeepOut::rect(Vec2::new(-2.0, -1.0), Vec2::new(-1.0, 1.0));
         let half_extent = Vec2::new(9.0, 9.0);
-        let arena = Arena { half_extent, keep_outs: vec![wall], portals: Vec::new(), robot_radius_m: 0.25 };
+        let arena =
+            Arena { half_extent, keep_outs: vec![wall], portals: Vec::new(), movers: Vec::new(), robot_radius_m: 0.25 };
         (parts.sense)(Site { robot: RobotId(0), arena: &arena, stream: Seed::of_run(1).stream("sense") })
     }
 
@@ -222,7 +223,14 @@ mod tests {
             heading,
         };
         let robots = (0..).zip(at).map(standing).collect();
-        Scene { time: Time::ZERO + Span::from_millis(ms), placed: false, episode: 0, robots, observed: Arc::default() }
+        Scene {
+            time: Time::ZERO + Span::from_millis(ms),
+            placed: false,
+            episode: 0,
+            elapsed: None,
+            robots,
+            observed: Arc::default(),
+        }
     }
 
     fn seen(sense: &mut dyn Sense, ms: u64) -> Vec<f32> {

@@ -72,6 +72,7 @@ mod tests {
             time: Time::ZERO,
             placed: false,
             episode: 0,
+            elapsed: None,
             robots: Arc::clone(&robots),
             observed: observed.into(),
         };

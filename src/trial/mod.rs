@@ -291,12 +291,20 @@ impl Trial {
         self.faults.check_episodes(self.layouts.len())
     }
 
-    /// Checks that the plant can take the obstacles that are drawn for each episode. An error names the field.
+    /// Checks that the plant can take the obstacles that are drawn for each episode, and those that move. An error
+    /// names the field.
     fn check_obstacles(&self, entry: &world::Entry) -> Result<(), ConfigError> {
-        let Some(arena) = self.layouts.arena(0) else { return Ok(()) };
+        let (fixed, drawn) = (self.scenario.arena(), self.layouts.arena(0));
+        if self.layouts.is_empty() || drawn.is_none() && fixed.movers.is_empty() {
+            return Ok(());
+        }
         let starts: Vec<Vec2> = self.layouts.episode(0).iter().map(|task| task.start).collect();
-        let mut plant = (entry.build)(self.scenario.arena(), &self.physics, &starts, Seed::of_run(0));
-        if plant.enter(arena) {
+        let mut plant = (entry.build)(fixed, &self.physics, &starts, Seed::of_run(0));
+        if !fixed.movers.is_empty() && !plant.elapse(None) {
+            let why = format!("'{}' has no moving obstacles, and this task has some", entry.name);
+            return Err(ConfigError::field("plant", why));
+        }
+        if drawn.is_none_or(|arena| plant.enter(arena)) {
             return Ok(());
         }
         let why = format!("'{}' has one arena for all episodes, and this task draws obstacles for each", entry.name);

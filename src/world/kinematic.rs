@@ -46,7 +46,8 @@ pub struct TeamMotion<'a> {
 }
 
 /// Advances every robot of `team` by one step of duration `PERIOD`. `arena` gives the ground, the walls and the robots'
-/// radius; `physics` gives lag, limits and the effect of contacts.
+/// radius, with moving obstacles among the walls where they are at the end of the step (`Arena::at`); `physics` gives
+/// lag, limits and the effect of contacts.
 ///
 /// `commands` has, for each robot, the commanded velocity \[m/s\], world frame. The velocity is that of the commanded
 /// point: the centre of a holonomic robot, a point ahead of the axle of a differential drive.
@@ -181,6 +182,8 @@ fn any_within(offsets: impl Iterator<Item = Vec2>, own: usize, distance: f32) ->
 #[derive(Debug)]
 pub(crate) struct Kinematic {
     arena: Arena,
+    /// Time since the episode runs at the end of the next step; `None` while none runs.
+    elapsed: Option<Span>,
     physics: Physics,
     position: Vec<Vec2>,
     velocity: Vec<Vec2>,
@@ -201,6 +204,7 @@ pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], _: Seed) -> B
     let zeros = vec![Vec2::zeros(); positions.len()];
     let mut plant = Kinematic {
         arena: arena.clone(),
+        elapsed: None,
         physics: *physics,
         position: positions.to_vec(),
         velocity: zeros.clone(),
@@ -263,6 +267,11 @@ impl Plant for Kinematic {
         true
     }
 
+    fn elapse(&mut self, elapsed: Option<Span>) -> bool {
+        self.elapsed = elapsed;
+        true
+    }
+
     fn drive(&mut self, robot: usize, velocity: Vec2) {
         self.commands[robot] = velocity;
     }
@@ -289,7 +298,7 @@ impl Plant for Kinematic {
             contacts: &mut self.contacts,
             before: &mut self.before,
         };
-        step(&self.arena, &self.physics, &self.commands, &mut team);
+        step(&self.arena.at(self.elapsed), &self.physics, &self.commands, &mut team);
         for (&robot, motion) in &self.carried {
             (self.position[robot], self.velocity[robot]) = (motion.position, motion.velocity);
         }
@@ -308,7 +317,13 @@ mod tests {
 
     fn arena() -> Arena {
         let wall = KeepOut::rect(Vec2::new(-2.0, 0.5), Vec2::new(2.0, 0.8));
-        Arena { half_extent: Vec2::new(2.0, 3.0), keep_outs: vec![wall], portals: Vec::new(), robot_radius_m: 0.25 }
+        Arena {
+            half_extent: Vec2::new(2.0, 3.0),
+            keep_outs: vec![wall],
+            portals: Vec::new(),
+            movers: Vec::new(),
+            robot_radius_m: 0.25,
+        }
     }
 
     #[test]

@@ -100,6 +100,14 @@ pub trait Plant {
         false
     }
 
+    /// Sets the time since the episode runs at the end of the next step, by which moving obstacles of the arena are
+    /// where they are. While none runs, it is `None`, and there are no moving obstacles. The World calls it before each
+    /// step. Returns whether the plant has moving obstacles. The default returns false, and a task with moving
+    /// obstacles is then refused.
+    fn elapse(&mut self, _elapsed: Option<Span>) -> bool {
+        false
+    }
+
     /// Advances the world by one step of duration `period`, with the velocities last set by `drive`.
     fn advance(&mut self);
 

@@ -41,6 +41,10 @@ pub struct Rigid {
     parameters: StepParameters,
     /// Colliders of the solid blocks of the arena.
     blocks: Vec<ColliderHandle>,
+    /// Bodies of its moving obstacles, each as long as an episode runs.
+    movers: Vec<RigidBodyHandle>,
+    /// Time since the episode runs at the end of the next step; `None` while none runs.
+    elapsed: Option<Span>,
     robots: Vec<(RigidBodyHandle, Drivetrain)>,
     /// Wheels of robots that are not holonomic without limits of their own.
     wheels: BTreeMap<usize, Wheels>,
@@ -89,6 +93,8 @@ pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], seed: Seed) -
         world,
         parameters: StepParameters::new(physics, PERIOD),
         blocks,
+        movers: Vec::new(),
+        elapsed: None,
         robots,
         wheels: BTreeMap::new(),
         states: vec![PlantState::default(); positions.len()],
@@ -103,21 +109,23 @@ fn wall(physics: &Physics, half: Vec2, centre: Vec2) -> ColliderBuilder {
     collider.friction(physics.friction).restitution(physics.restitution)
 }
 
-fn insert_blocks(world: &mut PhysicsWorld, physics: &Physics, blocks: &[KeepOut]) -> Vec<ColliderHandle> {
-    let collider = |block: &KeepOut| {
-        let centre = (block.max + block.min) / 2.0;
-        let about_centre = |corner: Vec2| to_glam(corner - centre);
-        let shape = match block.solid() {
-            Solid::Rect(_) => return wall(physics, (block.max - block.min) / 2.0, centre),
-            Solid::Disc { disc: [.., radius_m] } => ColliderBuilder::ball(radius_m),
-            Solid::Polygon { .. } => {
-                let corners: Vec<Vector> = block.corners().map(about_centre).collect();
-                ColliderBuilder::convex_hull(&corners).expect("a convex polygon has an area")
-            }
-        };
-        shape.translation(to_glam(centre)).friction(physics.friction).restitution(physics.restitution)
+/// Returns the collider of a block that stands.
+fn collider(physics: &Physics, block: &KeepOut) -> ColliderBuilder {
+    let centre = (block.max + block.min) / 2.0;
+    let about_centre = |corner: Vec2| to_glam(corner - centre);
+    let shape = match block.solid() {
+        Solid::Rect(_) => return wall(physics, (block.max - block.min) / 2.0, centre),
+        Solid::Disc { disc: [.., radius_m] } => ColliderBuilder::ball(radius_m),
+        Solid::Polygon { .. } => {
+            let corners: Vec<Vector> = block.corners().map(about_centre).collect();
+            ColliderBuilder::convex_hull(&corners).expect("a convex polygon has an area")
+        }
     };
-    blocks.iter().map(|block| world.insert_collider(collider(block), None)).collect()
+    shape.translation(to_glam(centre)).friction(physics.friction).restitution(physics.restitution)
+}
+
+fn insert_blocks(world: &mut PhysicsWorld, physics: &Physics, blocks: &[KeepOut]) -> Vec<ColliderHandle> {
+    blocks.iter().map(|block| world.insert_collider(collider(physics, block), None)).collect()
 }
 
 impl Rigid {
@@ -136,13 +144,38 @@ impl Rigid {
     /// count as walls.
     fn update_contacts(&mut self) {
         let radius_m = self.physics.wall_radius_m;
+        let arena = self.arena.at(self.elapsed);
         for robot in 0..self.states.len() {
             let at = self.states[robot].motion.position;
             let near = |(other, state): (usize, &PlantState)| {
                 other != robot && (state.motion.position - at).norm() <= 2.0 * radius_m
             };
             let touches = self.states.iter().enumerate().any(near);
-            self.states[robot].contacts = Contacts { robot: touches, wall: self.arena.clearance(at) <= radius_m };
+            self.states[robot].contacts = Contacts { robot: touches, wall: arena.clearance(at) <= radius_m };
+        }
+    }
+}
+
+impl Rigid {
+    /// Moves the moving obstacles in the next step to where they are at its end. Robots push none of them.
+    fn move_movers(&mut self) {
+        let Some(elapsed) = self.elapsed else {
+            for body in self.movers.drain(..) {
+                self.world.remove_body(body);
+            }
+            return;
+        };
+        let places = self.arena.movers.iter().map(|mover| to_glam(mover.disc(elapsed).0.position));
+        if self.movers.is_empty() {
+            for (mover, place) in self.arena.movers.iter().zip(places) {
+                let body = RigidBodyBuilder::kinematic_position_based().translation(place);
+                let shape = collider(&self.physics, &mover.block(elapsed)).translation(Vector::ZERO);
+                self.movers.push(self.world.insert(body, shape).0);
+            }
+            return;
+        }
+        for (body, place) in self.movers.iter().zip(places) {
+            self.world.bodies[*body].set_next_kinematic_translation(place);
         }
     }
 }
@@ -182,7 +215,15 @@ impl Plant for Rigid {
             self.world.remove_collider(block);
         }
         self.blocks = insert_blocks(&mut self.world, &self.physics, &arena.keep_outs);
+        for body in self.movers.drain(..) {
+            self.world.remove_body(body);
+        }
         self.arena.clone_from(arena);
+        true
+    }
+
+    fn elapse(&mut self, elapsed: Option<Span>) -> bool {
+        self.elapsed = elapsed;
         true
     }
 
@@ -201,6 +242,9 @@ impl Plant for Rigid {
     }
 
     fn advance(&mut self) {
+        if !self.arena.movers.is_empty() {
+            self.move_movers();
+        }
         let force = self.physics.mass_kg / PERIOD.as_secs() as f32;
         for (robot, (handle, drivetrain)) in self.robots.iter_mut().enumerate() {
             let body = &mut self.world.bodies[*handle];

@@ -18,7 +18,8 @@ use toml::{Table, Value};
 const FOUR_ROOMS: &str = include_str!("../../examples/tasks/four-rooms.toml");
 const NAVIGATION: &str = include_str!("../../examples/tasks/navigation.toml");
 /// The other tasks of the library.
-const LIBRARY: [&str; 6] = [
+const LIBRARY: [&str; 7] = [
+    include_str!("../../examples/tasks/crossing.toml"),
     include_str!("../../examples/tasks/errands.toml"),
     NAVIGATION,
     include_str!("../../examples/tasks/unlabelled.toml"),
@@ -34,6 +35,9 @@ const SHAPES: &str = "name = \"shapes\"\nrobots = { default = 3, least = 2, most
     rules = { arrival_m = 0.2, limit_s = 60.0 }\n\
     obstacles = [{ count = 2, radius_m = 0.1, within = [-3, -2, 3, 2], each_episode = true },\n\
     { count = 2, polygon = [[0, 0], [0.2, 0], [0.1, 0.2]], within = [-3, -1, 3, 2] }]\n\
+    movers = [{ radius_m = 0.1, path = [[-1, 0.6], [-0.5, 0.6]], speed_m_s = 0.2, phase = 0.5, closed = true },\n\
+    { polygon = [[0, 0], [0.2, 0], [0.1, 0.2]], path = [[1.2, 0.4], [2.2, 0.4]], speed_m_s = 0.3, \
+    each_episode = true }]\n\
     senses.eyes = { kind = \"lidar\", rays = 8, range_m = 1.5 }\n";
 
 /// A task file with these lines for its walls and places.
@@ -181,6 +185,42 @@ fn waypoints_that_cannot_be_are_refused_by_their_place() {
 }
 
 #[test]
+fn moving_obstacles_that_cannot_be_are_refused_by_their_fields() {
+    let sides = "start = { disc = [0.0, -1.7, 1.0] }\ngoal = { rect = [-1.5, 0.7, 1.5, 2.5] }";
+    let mover = |fields: &str| format!("{sides}\nmovers = [{{ {fields} }}]");
+    let on = |path: &str, fields: &str| mover(&format!("radius_m = 0.2, speed_m_s = 0.3, path = {path}{fields}"));
+    let wall = "\nwalls = [{ rect = [0.0, -0.1, 0.2, 0.1] }]";
+    let cases = [
+        (mover("radius_m = 0.2, path = [[0, 0], [1, 0]], speed_m_s = 0"), "movers[0].speed_m_s: 0 is not"),
+        (mover("radius_m = 0.2, path = [[0, 0], [1, 0]], speed_m_s = 3"), "movers[0].speed_m_s: 3 is not"),
+        (mover("path = [[0, 0], [1, 0]], speed_m_s = 0.3"), "movers[0].size_m: give one of size_m, radius_m and"),
+        (on("[[0, 0]]", ""), "movers[0].path: there are 1 points, which is not 2 to 64"),
+        (on("[[0, 0], [0, 0]]", ""), "movers[0].path[0]: it is not 0.01 m from the next point"),
+        (on("[[0, 0], [1, 0], [0, 0]]", ", closed = true"), "movers[0].path[2]: it is not 0.01 m from the next point"),
+        (on("[[0, 0], [4, 0]]", ""), "movers[0].path: it leaves the ground at [4.00, 0.00]"),
+        (on("[[-1, 0], [1, 0]]", ", phase = 0.5, each_episode = true"), "movers[0].phase: each_episode draws it"),
+        (on("[[-1, 0], [1, 0]]", ", phase = 2"), "movers[0].phase: 2 is not"),
+        (on("[[-1, 0], [1, 0]]", ", colour = 1"), "movers[0].colour: unknown field"),
+        (on("[[0, -2.7], [0, -0.7]]", "").replace("1.0] }\ngoal", "0.7] }\ngoal"), "start: it has room for 0 robots"),
+        (format!("{}{}", on("[[-1, 0], [1, 0]]", ""), wall), "movers[0].path: the obstacle runs into walls[0]"),
+        (
+            format!(
+                "{sides}\nmovers = [{}]",
+                "{ radius_m = 0.1, path = [[0, 0], [1, 0]], speed_m_s = 0.3 }, ".repeat(17)
+            ),
+            "movers: there are 17, more than 16",
+        ),
+        (
+            "places = [[0, -2], [0, 0.1], [1, 2], [-1, 2], [1, -2], [-1, -2]]\nmovers = [{ radius_m = 0.2, \
+            path = [[-1, 0], [1, 0]], speed_m_s = 0.3 }]"
+                .to_owned(),
+            "places[1]: no robot may stand there: it keeps 0.250 m from the way of movers[0]",
+        ),
+    ];
+    cases.iter().for_each(refused);
+}
+
+#[test]
 fn robots_have_the_senses_of_the_task_unless_their_team_says_others() {
     let task = TaskFile::read(NAVIGATION).expect("it is sound");
     let scenario = task.scenario(&Settings::of(4)).expect("it is sound");
@@ -292,7 +332,8 @@ fn mutations(text: &str, area: &str) -> (usize, usize) {
             refused += 1;
             assert_eq!(printable(&found, Layout::Line), found, "one line, without control characters");
             // A size of ground, robots or walls may leave no room in an area.
-            let named = [path[0].as_str(), area, "goal", "obstacles"].iter().any(|field| found.contains(field));
+            let named =
+                [path[0].as_str(), area, "goal", "obstacles", "movers"].iter().any(|field| found.contains(field));
             assert!(named && found.len() < 400, "{path:?}: {found}\n{text}");
         }
     }

@@ -85,6 +85,8 @@ struct Checked {
     hull_m: f32,
     walls: usize,
     doors: usize,
+    /// Number of moving obstacles.
+    movers: usize,
     /// Names of the senses that the file gives the robots.
     senses: Vec<String>,
     layouts: u32,
@@ -140,6 +142,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         hull_m: arena.hull_m(),
         walls: arena.keep_outs.len(),
         doors: arena.portals.len(),
+        movers: arena.movers.len(),
         senses: file.senses().keys().cloned().collect(),
         layouts: args.layouts,
         successes,
@@ -174,6 +177,9 @@ fn text(checked: &Checked) -> String {
         ),
         format!("  digest     {}", checked.digest),
     ];
+    if checked.movers > 0 {
+        lines[2] += &format!(", {}", counted(checked.movers, "moving obstacle"));
+    }
     if !checked.senses.is_empty() {
         lines.insert(3, format!("  senses     {}", checked.senses.join(", ")));
     }
@@ -267,6 +273,7 @@ mod tests {
             half_extent: Vec2::repeat(2.0),
             keep_outs: walls,
             portals: Vec::new(),
+            movers: Vec::new(),
             robot_radius_m: 0.25,
         };
         assert!(closed_rooms(&arena(Vec::new())).is_empty());

@@ -70,7 +70,7 @@ impl Fitted {
     /// Returns the ground without blocks, of half this size \[m\].
     pub fn arena(&self, half_extent: Vec2) -> Arena {
         let (keep_outs, portals) = (Vec::new(), Vec::new());
-        Arena { half_extent, keep_outs, portals, robot_radius_m: self.robot_radius_m }
+        Arena { half_extent, keep_outs, portals, movers: Vec::new(), robot_radius_m: self.robot_radius_m }
     }
 
     /// Returns the rules of an episode: it ends by time, and robots must not collide.

@@ -25,9 +25,9 @@ use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::local::Contacts;
 use murmurate::random;
 use murmurate::random::Stream;
-use murmurate::safety::Clamp;
 use murmurate::safety::filter::Filter;
 use murmurate::scenario::{Arena, Progress, Scenario, TeamAfterStep};
+use murmurate::time::Span;
 use murmurate::world::Physics;
 use murmurate::world::kinematic::{self, PERIOD};
 
@@ -56,6 +56,11 @@ impl TrainingTeam {
     /// Returns the indices of the team's robots among all robots.
     pub fn range(&self) -> std::ops::Range<usize> {
         self.first..self.first + self.robots
+    }
+
+    /// Returns the time since the start of the team's episode.
+    pub fn elapsed(&self) -> Span {
+        PERIOD * u64::from(self.step)
     }
 }
 
@@ -92,7 +97,7 @@ pub struct Environments {
     /// Physical parameters, one entry per team.
     physics: Vec<Physics>,
     before: Vec<Vec2>,
-    command: Vec<Vec2>,
+    pub(super) command: Vec<Vec2>,
     /// Safety filters; `None` in episodes without them.
     pub(super) filters: Vec<Option<Filter>>,
     /// Rewards of the scenario in the last step.
@@ -298,6 +303,7 @@ impl Environments {
             before: &mut self.before[range.clone()],
         };
         let arena = self.arenas[team].as_ref().unwrap_or(scenario.arena());
+        let arena = &arena.at(Some(self.teams[team].elapsed() + PERIOD));
         kinematic::step(arena, &self.physics[team], &self.command[range.clone()], &mut world);
         self.rolling.iter_mut().for_each(|rolling| rolling.follow(range.clone(), (&self.position, &self.velocity)));
         let (points, velocity) = match &self.rolling {
@@ -351,32 +357,6 @@ impl Environments {
         if !team_of.episode.lockstep {
             self.measure(team, stream);
         }
-    }
-
-    /// Makes the commands of a team's robots of `actions`, as far as limits and safety filter allow them.
-    fn command(&mut self, team: usize, actions: &[Vec2], limit_m_s: f32) {
-        let range = self.teams[team].range();
-        let EpisodeConditions { filtered, clamp, lockstep, .. } = self.teams[team].episode;
-        let exact = lockstep || clamp == Clamp::Training;
-        for (robot, action) in range.clone().zip(&actions[range]) {
-            let measured = if exact { self.point(robot).velocity } else { self.estimate(team, robot).velocity };
-            let wanted = clamp.limit(*action, measured, limit_m_s);
-            self.command[robot] = if filtered { self.filtered(team, robot, wanted) } else { wanted };
-        }
-    }
-
-    /// Returns the velocity after the robot's safety filter, which knows what the robot itself knows.
-    fn filtered(&mut self, team: usize, robot: usize, wanted: Vec2) -> Vec2 {
-        let Some(mut filter) = self.filters[robot].take() else { return wanted };
-        let TrainingTeam { first, step, episode, messages, .. } = &self.teams[team];
-        let filtered = if episode.lockstep {
-            let others = self.teams[team].range().filter(|other| *other != robot);
-            filter.apply(&self.point(robot), others.map(|other| (self.point(other), 0.0)), wanted)
-        } else {
-            filter.apply(&self.estimate(team, robot), messages.known(episode, *step, robot - first), wanted)
-        };
-        self.filters[robot] = Some(filter);
-        filtered.velocity
     }
 
     /// Draws a noisy measurement of every robot of a team and stores it as the robot's estimate. A team whose robots

@@ -16,6 +16,7 @@ pub fn filter(episode: &EpisodeConditions, arena: &Arena, physics: &Physics, ahe
             safety: physics.fit(Safety::filter().of_hull(arena.hull_m())).about_point(ahead_m, ahead_m),
             half_extent: arena.half_extent.add_scalar(-ahead_m),
             walls: arena.keep_outs.as_slice().into(),
+            movers: arena.movers.as_slice().into(),
             limit_m_s: MAX_SPEED_M_S,
             clamp: episode.clamp,
             period: PERIOD,

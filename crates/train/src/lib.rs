@@ -11,6 +11,7 @@ pub mod adam;
 pub mod batch;
 pub mod channels;
 mod checkpoint;
+mod commands;
 pub mod conditions;
 pub mod config;
 mod courses;

@@ -4,6 +4,8 @@
 //! An observation of fields follows from an estimate, so it is made when it is asked for. One with channels is made
 //! when the robot measures its state, and stored: a message is encoded from the observation that its sender had then.
 
+use std::borrow::Cow;
+
 use super::channels::{Channels, Observing, Place};
 use super::environments::{Environments, TrainingTeam};
 use super::message_buffer::MessageBuffer;
@@ -11,10 +13,14 @@ use murmurate::messages::geometry::{Motion, Task};
 use murmurate::observation::Observation;
 use murmurate::policy::hops::entry::{self, Entry};
 use murmurate::random::Stream;
-use murmurate::time::Span;
-use murmurate::world::kinematic::PERIOD;
+use murmurate::scenario::Arena;
 
 impl Environments {
+    /// Returns the arena of the current episode of the team with index `team` at the team's current step.
+    pub fn arena_now(&self, team: usize) -> Cow<'_, Arena> {
+        self.arena(team).at(Some(self.teams[team].elapsed()))
+    }
+
     /// Returns the environments with these entries of an observation. `channels` are those among the entries, `None` if
     /// all are fields. All episodes must be started afterwards.
     pub fn observing(mut self, entries: &[Entry], channels: Option<Channels>) -> Environments {
@@ -104,7 +110,7 @@ impl Environments {
             frame,
             heading: Some(frame.turn_angle(self.heading(robot))),
             yaw_rate: Some(yaw_rate),
-            elapsed: Span::from_nanos(u64::from(of_team.step) * PERIOD.as_nanos()),
+            elapsed: of_team.elapsed(),
             ..scenario.observe(task, estimate)
         }
     }
@@ -120,7 +126,7 @@ impl Environments {
     ) -> Vec<f32> {
         let range = self.teams[team].range();
         let place = Place {
-            arena: self.arena(team),
+            arena: &self.arena_now(team),
             centre: self.position[robot],
             heading: self.heading(robot),
             team: &self.position[range.clone()],

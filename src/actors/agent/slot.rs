@@ -47,7 +47,8 @@ impl RobotPolicies {
     pub(super) fn enter(&mut self, arena: &Arena) {
         let arena = arena.about_point(self.point_ahead_m);
         self.run.enter(&arena);
-        self.reset.enter(&arena);
+        // There are no moving obstacles while robots drive to their starts.
+        self.reset.enter(&arena.at(None));
     }
 
     /// Returns the policy that is used in `phase`.

@@ -160,7 +160,8 @@ fn admits(is_given: bool, arena: &Arena, place: Vec2) -> bool {
         let [min, max] = [portal.near.inf(&portal.far), portal.near.sup(&portal.far)];
         KeepOut::rect(min, max).distance(place) >= 2.0 * radius_m
     };
-    arena.admits(place) && (is_given || arena.clearance(place) >= radius_m + room_m && arena.portals.iter().all(is_out))
+    arena.has_room(place)
+        && (is_given || arena.clearance(place) >= radius_m + room_m && arena.portals.iter().all(is_out))
 }
 
 fn is_apart(place: Vec2, others: &[Vec2], arena: &Arena) -> bool {
@@ -173,7 +174,13 @@ mod tests {
     use crate::random::Seed;
 
     fn open(half: f32) -> Arena {
-        Arena { half_extent: Vec2::repeat(half), keep_outs: vec![], portals: vec![], robot_radius_m: 0.25 }
+        Arena {
+            half_extent: Vec2::repeat(half),
+            keep_outs: vec![],
+            portals: vec![],
+            movers: vec![],
+            robot_radius_m: 0.25,
+        }
     }
 
     #[test]

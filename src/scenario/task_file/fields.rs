@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
+use super::movers::{self, MoverFields};
 use super::shapes::{FARTHEST_M, MOST_BLOCKS, Obstacles, SMALLEST_M, Shape, check_points, within_count};
 use crate::config::{self, ConfigError, in_range};
 use crate::messages::geometry::Vec2;
@@ -49,6 +50,9 @@ pub struct Fields {
     /// Obstacles that are drawn.
     #[serde(default)]
     pub obstacles: Vec<Obstacles>,
+    /// Obstacles that move along paths.
+    #[serde(default)]
+    pub movers: Vec<MoverFields>,
     /// Area in which the team starts, in every second episode.
     pub start: Option<Shape>,
     /// Area to which the team goes, and in which it starts the next episode.
@@ -145,6 +149,7 @@ impl Fields {
         self.check_ground()?;
         in_range("hull_m", self.hull_m, crate::scenario::size::HULLS_M)?;
         self.check_blocks()?;
+        movers::check(&self.movers)?;
         self.check_areas()?;
         self.check_senses()?;
         in_range("rules.arrival_m", self.rules.arrival_m, (SMALLEST_M, FARTHEST_M))?;

@@ -1,13 +1,15 @@
 //! Tasks as data: a scenario that is made from the text of a task file (TOML), without Rust.
 //!
 //! `fields` and `shapes` have what may be written, `areas`, `places` and `waypoints` the starts, the goals and what is
-//! passed between them, `doors` the bottlenecks that it finds, `ways` the lengths of paths, `behaviour` what a caller
-//! adds to a file. A file is read where the program reads files; this code gets its text.
+//! passed between them, `movers` the obstacles that move, `doors` the bottlenecks that it finds, `ways` the lengths of
+//! paths, `behaviour` what a caller adds to a file. A file is read where the program reads files; this code gets its
+//! text.
 
 mod areas;
 mod behaviour;
 mod doors;
 mod fields;
+mod movers;
 mod places;
 mod shapes;
 mod waypoints;
@@ -21,6 +23,7 @@ use rand::RngExt;
 
 use self::areas::least_m;
 use self::fields::Fields;
+use self::movers::MoverFields;
 use self::places::Places;
 use self::shapes::{MOST_BLOCKS, Obstacles, Shape};
 use self::waypoints::Waypoints;
@@ -28,7 +31,7 @@ use self::ways::Ways;
 use super::arena::Arena;
 use super::block::KeepOut;
 use super::size::Size;
-use super::{Goals, Rules, Scenario, ScenarioError, Settings, TeamSizes, Weights, goals};
+use super::{Goals, Mover, Rules, Scenario, ScenarioError, Settings, TeamSizes, Weights, goals};
 use crate::config::ConfigError;
 use crate::messages::geometry::{Task, Vec2};
 use crate::observation::{Channel, PolicyFrame};
@@ -206,7 +209,9 @@ impl TaskFile {
                 format!("with the parts of polygons that are not convex there are more than {MOST_BLOCKS} blocks");
             return Err(ConfigError::field(field, why));
         }
-        let mut arena = Arena { half_extent, keep_outs, portals: Vec::new(), robot_radius_m };
+        let movers = self.fields.movers.iter().map(|mover| mover.mover(size.scale)).collect();
+        let mut arena = Arena { half_extent, keep_outs, portals: Vec::new(), movers, robot_radius_m };
+        movers::check_ways(&arena, &self.fields.walls, size.scale)?;
         let given: Vec<Vec2> = self.points().into_iter().map(|point| point * size.scale).collect();
         for (at, obstacles) in self.drawn(false) {
             let stream = Seed::of_run(u64::from(obstacles.seed)).stream(&format!("task-file/obstacles/{at}"));
@@ -251,8 +256,9 @@ fn draw(arena: &mut Arena, (obstacles, mut stream): (&Obstacles, Stream), scale:
         let block = (0..TRIES).find_map(|_| {
             let share = Vec2::new(stream.random_range(0.0..=1.0), stream.random_range(0.0..=1.0));
             let block = obstacle.moved(low + room.component_mul(&share) - obstacle.min);
-            let others = &arena.keep_outs;
+            let (others, mut ways) = (&arena.keep_outs, arena.movers.iter().flat_map(Mover::ways));
             let is_free = others.iter().all(|other| other.apart_m(&block) >= FREE * arena.robot_radius_m)
+                && ways.all(|way| way.apart_m(&block) >= FREE * arena.robot_radius_m)
                 && places.iter().all(|place| block.distance(*place) >= least_m(arena));
             is_free.then_some(block)
         });
@@ -292,11 +298,19 @@ impl Scenario for FromFile {
     }
 
     fn drawn_arena(&self, seed: u64, episode: u32) -> Option<Arena> {
-        self.file.drawn(true).next()?;
+        let begins_anew = |mover: &MoverFields| mover.each_episode;
+        if self.file.drawn(true).next().is_none() && !self.file.fields.movers.iter().any(begins_anew) {
+            return None;
+        }
         let tasks = self.tasks(seed, episode);
         let mut places: Vec<Vec2> = tasks.iter().flat_map(|task| [task.start, task.goal]).collect();
         places.extend(self.waypoints.draw(&self.arena, &tasks, (seed, episode)).concat());
         let mut arena = self.arena.clone();
+        let movers = self.file.fields.movers.iter().zip(&mut arena.movers).enumerate();
+        for (at, (_, mover)) in movers.filter(|(_, (fields, _))| begins_anew(fields)) {
+            let mut stream = Seed::of_run(seed).stream(&format!("task-file/movers/{at}/{episode}"));
+            *mover = mover.at_phase(stream.random_range(0.0..1.0));
+        }
         for (at, obstacles) in self.file.drawn(true) {
             let name = format!("task-file/obstacles/{at}/{}/{episode}", obstacles.seed);
             // Where the places of an episode leave no room for all of them, there are fewer.

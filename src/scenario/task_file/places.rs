@@ -13,7 +13,7 @@ use crate::config::ConfigError;
 use crate::config::shown::counted;
 use crate::messages::geometry::Vec2;
 use crate::random::Seed;
-use crate::scenario::arena::Arena;
+use crate::scenario::{Arena, Mover};
 
 /// Distance \[m\] by which a start is farther from its goal than robots arrive at, so that rounding does not decide.
 const BEYOND_M: f32 = 1e-3;
@@ -88,8 +88,8 @@ impl Places {
             Places::Fixed(places) => {
                 let field = |at: usize| format!("places[{at}]");
                 for (at, place) in places.iter().enumerate() {
-                    if !arena.admits(*place) {
-                        return Err(ConfigError::field(field(at), no_room(arena)));
+                    if !arena.has_room(*place) {
+                        return Err(ConfigError::field(field(at), no_room(arena, *place)));
                     }
                     for (other, before) in places[..at].iter().enumerate() {
                         let least = least_m(arena).max(arrival_m + BEYOND_M);
@@ -175,8 +175,8 @@ fn shift(seed: u64, index: u32, count: usize) -> usize {
 
 fn check_area(field: &str, area: &Area, robots: usize, arena: &Arena) -> Result<(), ConfigError> {
     let points = area.points();
-    if let Some(at) = points.iter().position(|point| !arena.admits(*point)) {
-        return Err(ConfigError::field(format!("{field}.points[{at}]"), no_room(arena)));
+    if let Some(at) = points.iter().position(|point| !arena.has_room(*point)) {
+        return Err(ConfigError::field(format!("{field}.points[{at}]"), no_room(arena, points[at])));
     }
     for (at, point) in points.iter().enumerate() {
         let near = points[..at].iter().position(|other| (other - point).norm() < least_m(arena));
@@ -206,6 +206,11 @@ fn check_apart((field, other): (&str, &str), apart_m: f32, least_m: f32) -> Resu
     Err(ConfigError::field(field, why))
 }
 
-fn no_room(arena: &Arena) -> String {
-    format!("no robot fits there: it keeps {:.3} m from walls, and its centre on the ground", arena.robot_radius_m)
+fn no_room(arena: &Arena, place: Vec2) -> String {
+    let radius_m = arena.robot_radius_m;
+    let is_near = |mover: &Mover| mover.ways().iter().any(|way| way.distance(place) <= radius_m);
+    if let Some(at) = arena.movers.iter().position(is_near) {
+        return format!("no robot may stand there: it keeps {radius_m:.3} m from the way of movers[{at}]");
+    }
+    format!("no robot fits there: it keeps {radius_m:.3} m from walls, and its centre on the ground")
 }

@@ -61,12 +61,40 @@ impl Obstacles {
         check_rect(&format!("{field}.within"), self.within)?;
         let [left, low, right, high] = self.within;
         let room_m = [right - left, high - low];
-        match (&self.size_m, &self.radius_m, &self.polygon) {
+        self.body().check(field, room_m)
+    }
+
+    /// Returns one of the obstacles, somewhere \[m\]; a rectangle has its smallest x and y at the origin.
+    pub fn block(&self, scale: f32) -> KeepOut {
+        self.body().block(scale)
+    }
+
+    fn body(&self) -> Body<'_> {
+        Body { size_m: self.size_m, radius_m: self.radius_m, polygon: self.polygon.as_deref() }
+    }
+}
+
+/// Body of an obstacle: one of a rectangle, a disc and a convex polygon.
+#[derive(Clone, Copy, Debug)]
+pub struct Body<'a> {
+    /// Size of a rectangle along x and y \[m\].
+    pub size_m: Option<[f32; 2]>,
+    /// Radius of a disc \[m\].
+    pub radius_m: Option<f32>,
+    /// Corners of a convex polygon \[m\].
+    pub polygon: Option<&'a [[f32; 2]]>,
+}
+
+impl Body<'_> {
+    /// Checks the values; `field` is the path of the obstacle in the file, and `room_m` the largest size along x and y
+    /// \[m\]. An error names the wrong one.
+    pub fn check(&self, field: &str, room_m: [f32; 2]) -> Result<(), ConfigError> {
+        match (self.size_m, self.radius_m, self.polygon) {
             (Some(size_m), None, None) => (0..2).try_for_each(|axis| {
                 in_range(&format!("{field}.size_m[{axis}]"), size_m[axis], (SMALLEST_M, room_m[axis]))
             }),
             (None, Some(radius_m), None) => {
-                in_range(&format!("{field}.radius_m"), *radius_m, (SMALLEST_M, room_m[0].min(room_m[1]) / 2.0))
+                in_range(&format!("{field}.radius_m"), radius_m, (SMALLEST_M, room_m[0].min(room_m[1]) / 2.0))
             }
             (None, None, Some(corners)) => {
                 let field = format!("{field}.polygon");
@@ -83,14 +111,15 @@ impl Obstacles {
         }
     }
 
-    /// Returns one of the obstacles, somewhere \[m\]; a rectangle has its smallest x and y at the origin.
+    /// Returns the body \[m\] with lengths multiplied by `scale`. A rectangle has its smallest x and y at the origin, a
+    /// disc its centre, and a polygon is where its corners are.
     pub fn block(&self, scale: f32) -> KeepOut {
         let of_file = "one is given, and it is sound: the check says so";
-        match (&self.size_m, &self.radius_m, &self.polygon) {
-            (Some(size_m), ..) => KeepOut::rect(Vec2::zeros(), Vec2::from(*size_m) * scale),
+        match (self.size_m, self.radius_m, self.polygon) {
+            (Some(size_m), ..) => KeepOut::rect(Vec2::zeros(), Vec2::from(size_m) * scale),
             (_, Some(radius_m), _) => KeepOut::disc(Vec2::zeros(), radius_m * scale),
             (.., corners) => {
-                let polygon = polygon(corners.as_ref().expect(of_file), scale).expect(of_file);
+                let polygon = polygon(corners.expect(of_file), scale).expect(of_file);
                 polygon.inside().swap_remove(0)
             }
         }

@@ -28,7 +28,8 @@ fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
         return Err(ScenarioError::Gap { scenario: ROUND.name.to_owned(), gap_m, hint: "; it has no walls" });
     }
     let half_extent = Vec2::new(2.5, 2.5);
-    let arena = Arena { half_extent, keep_outs: Vec::new(), portals: Vec::new(), robot_radius_m: 0.25 };
+    let arena =
+        Arena { half_extent, keep_outs: Vec::new(), portals: Vec::new(), movers: Vec::new(), robot_radius_m: 0.25 };
     Ok(Arc::new(Round { robots, arena }))
 }
 

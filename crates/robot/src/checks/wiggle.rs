@@ -32,6 +32,7 @@ pub fn config(team: &Team, registry: &Registry) -> Result<Config> {
         safety: team.safety,
         half_extent: arena.half_extent,
         walls: arena.keep_outs.as_slice().into(),
+        movers: Default::default(),
         limit_m_s: SPEED_M_S,
         clamp: team.simulated.clamp,
         period: PERIOD,

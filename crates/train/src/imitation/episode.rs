@@ -266,8 +266,8 @@ pub fn run(
         for _ in 0..setting.repeat {
             let commands: Vec<Vec2> =
                 team.motion.iter().zip(actions).map(|(motion, action)| setting.command(motion, *action)).collect();
-            world.step(arena, &physics, &commands, &mut team.motion);
             team.after = team.after + PERIOD;
+            world.step(&arena.at(Some(team.after)), &physics, &commands, &mut team.motion);
         }
         taught_all.extend(taught.into_iter().flatten());
         if let Some(finding) = judge.update(team.after, &world.judged(&team.motion)) {

@@ -14,7 +14,7 @@ impl Chunk {
             let ahead = if sweep.around { scenario.frame(&environments.tasks[robot]).turn_angle(0.0) } else { heading };
             let pose = (environments.position[robot], heading, ahead);
             let others = range.clone().filter(|other| *other != robot).map(|other| environments.position[other]);
-            scanner.scan(environments.arena(row), pose, others, to);
+            scanner.scan(&environments.arena_now(row), pose, others, to);
             scanner.disturb(&mut streams[row], to);
             to.iter_mut().for_each(|distance| *distance = distance.min(sweep.range_m));
         }

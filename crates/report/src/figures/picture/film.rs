@@ -2,11 +2,12 @@
 
 use serde_json::{Value, json};
 
-use super::scene::{Scan, Scene, SceneFrame};
+use super::movers;
+use super::scene::{Backdrop, Scan, Scene, SceneFrame};
 use super::sheet::{LOOK, escaped, walls};
 use murmurate::messages::geometry::Vec2;
-use murmurate::scenario::Solid;
 use murmurate::scenario::course::Course;
+use murmurate::scenario::{Mover, Solid};
 use murmurate::time::Span;
 
 /// HTML of the page, with `{title}`, `{look}` and `{data}` to be filled in.
@@ -72,6 +73,7 @@ fn json(scene: &Scene, stride: usize) -> String {
         "radius": mm(stage.radius_m),
         "arrival": mm(stage.rules.arrival_m),
         "walls": walls,
+        "movers": moving(stage, &frames),
         "goals": stage.tasks.iter().map(|task| point(task.goal)).collect::<Vec<_>>(),
         "waypoints": stage.courses.iter().map(waypoints).collect::<Vec<_>>(),
         "unlabelled": stage.goals.are_unlabelled(),
@@ -88,6 +90,19 @@ fn json(scene: &Scene, stride: usize) -> String {
     });
     // A closing script tag would end the script, even within a string.
     data.to_string().replace('<', "\\u003c")
+}
+
+/// Returns for each moving obstacle its shape at the start of the episode, the points of its path, and its offsets from
+/// there in each frame, in integer millimetres.
+fn moving(stage: &Backdrop, frames: &[&SceneFrame]) -> Vec<Value> {
+    let offsets: Vec<Vec<Vec2>> = frames.iter().map(|frame| movers::offsets(stage, frame.time)).collect();
+    let offsets = |at: usize, axis: usize| differences(offsets.iter().map(|all| point(all[at])[axis]));
+    let mover = |(at, mover): (usize, &Mover)| {
+        let round: Vec<[i64; 2]> = mover.round().iter().map(|at| point(*at)).collect();
+        let body = wall(&mover.block(Span::ZERO).solid());
+        json!({ "body": body, "round": round, "offsets": [offsets(at, 0), offsets(at, 1)] })
+    };
+    stage.arena.movers.iter().enumerate().map(mover).collect()
 }
 
 /// Returns the waypoints of a robot in integer millimetres.

@@ -1,6 +1,7 @@
 //! Pictures of one episode: two animations and a still picture, each a self-contained file.
 
 mod film;
+mod movers;
 mod moving;
 mod scene;
 mod sheet;

@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use super::movers;
 use super::scene::{Link, Scene, SceneFrame};
 use super::sheet::{AGES, COLOURS, View, goal_mark, goals, legend, px, sheet, verdict, waypoint_mark};
 use super::still::{self, drawn, path};
@@ -70,6 +71,13 @@ impl<'a> Reel<'a> {
         format!("<animate attributeName=\"{attribute}\" values=\"{values}\" keyTimes=\"{keys}\" {rest}/>")
     }
 
+    /// Returns the SVG that moves an element to these places, of the form `x,y` \[pixels\], at equal intervals.
+    fn translated(&self, places: &[String]) -> String {
+        let values = places.join(";");
+        let round = self.round();
+        format!("<animateTransform attributeName=\"transform\" type=\"translate\" values=\"{values}\" {round}/>")
+    }
+
     fn round(&self) -> String {
         format!("dur=\"{:.3}s\" repeatCount=\"indefinite\"", self.lasts_s)
     }
@@ -89,6 +97,8 @@ pub fn moving(scene: &Scene) -> String {
     let reel = Reel::new(scene);
     let mut text =
         format!("<g class=\"still\">{}{}</g>\n<g class=\"moving\">\n", drawn(scene, &view), verdict(scene, ""));
+    text += &movers::paths(&view, &scene.stage);
+    text += &bodies(&reel, &view);
     text += &aims(&reel, &view);
     for robot in 0..scene.robots() {
         text += &trail(&reel, &view, robot);
@@ -132,6 +142,23 @@ fn marks(scene: &Scene) -> Vec<(String, f32, String)> {
     let dashed = "<path class=\"link\" d=\"M0 0h30\" stroke-width=\"3\" stroke-dasharray=\"7 6\"/>".to_owned();
     let links = [(lines, 138.0, heard), (dashed, 30.0, "one way".to_owned())];
     waypoint_mark(scene).into_iter().chain([goal_mark(scene)]).chain(links).collect()
+}
+
+/// Draws the moving obstacles.
+fn bodies(reel: &Reel, view: &View) -> String {
+    let stage = &reel.scene.stage;
+    let time = |(from, to, share): &(&SceneFrame, &SceneFrame, f32)| {
+        let between_s = to.time.as_secs() - from.time.as_secs();
+        from.time + Span::from_secs(between_s * f64::from(*share))
+    };
+    let offsets: Vec<Vec<Vec2>> = reel.samples.iter().map(|sample| movers::offsets(stage, time(sample))).collect();
+    let body = |(at, shape): (usize, String)| {
+        let moved = offsets.iter().map(|all| view.at(all[at]) - view.at(Vec2::zeros()));
+        let moved: Vec<String> = moved.map(|at| format!("{},{}", px(at.x), px(at.y))).collect();
+        let moves = reel.translated(&moved);
+        format!("<g>{shape}{moves}</g>\n")
+    };
+    movers::standing(view, stage, Span::ZERO, "").into_iter().enumerate().map(body).collect()
 }
 
 /// Draws the goals, whose dashed circles become solid at the arrival of their robots.
@@ -200,11 +227,7 @@ fn disc(reel: &Reel, view: &View, robot: usize) -> String {
             format!("{},{}", px(at.x), px(at.y))
         })
         .collect();
-    let moves = format!(
-        "<animateTransform attributeName=\"transform\" type=\"translate\" values=\"{}\" {}/>",
-        places.join(";"),
-        reel.round()
-    );
+    let moves = reel.translated(&places);
     let (radius, size) = (px(stage.radius_m * view.scale), px(view.number(stage, robot)));
     let disc = format!("<circle class=\"disc\" r=\"{radius}\" stroke-width=\"2\"/>");
     let number = format!("<text class=\"number\" style=\"font-size:{size}px\">{robot}</text>");

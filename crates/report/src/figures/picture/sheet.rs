@@ -107,30 +107,34 @@ impl View {
     }
 
     /// Returns an SVG rectangle between two opposite corners in the world frame \[m\], with the CSS class `class`.
-    /// `round` is the radius of its rounded corners \[pixels\].
-    fn rectangle(&self, class: &str, [one, other]: [Vec2; 2], round: f32) -> String {
+    /// `round` is the radius of its rounded corners \[pixels\]; `rest` holds further attributes of the element.
+    fn rectangle(&self, class: &str, [one, other]: [Vec2; 2], (round, rest): (f32, &str)) -> String {
         let (a, b) = (self.at(one), self.at(other));
         let (low, high) = (a.inf(&b), a.sup(&b));
         let [x, y, w, h] = [low.x, low.y, high.x - low.x, high.y - low.y].map(px);
-        format!("<rect class=\"{class}\" x=\"{x}\" y=\"{y}\" width=\"{w}\" height=\"{h}\" rx=\"{round}\"/>\n")
+        format!("<rect class=\"{class}\" x=\"{x}\" y=\"{y}\" width=\"{w}\" height=\"{h}\" rx=\"{round}\"{rest}/>\n")
     }
 
     /// Returns the SVG elements of the arena's ground and walls.
     pub fn ground(&self, stage: &Backdrop) -> String {
-        let wall = |wall: &Solid| match wall {
+        let walls = walls(stage);
+        let walls = walls.iter().map(|wall| self.solid("wall", wall, ""));
+        self.rectangle("ground", [-self.half, self.half], (6.0, "")) + &walls.collect::<String>()
+    }
+
+    /// Returns the SVG element of a shape, with the CSS class `class`; `rest` holds further attributes of the element.
+    pub fn solid(&self, class: &str, solid: &Solid, rest: &str) -> String {
+        match solid {
             Solid::Rect([x, y, far_x, far_y]) => {
-                self.rectangle("wall", [Vec2::new(*x, *y), Vec2::new(*far_x, *far_y)], 3.0)
+                self.rectangle(class, [Vec2::new(*x, *y), Vec2::new(*far_x, *far_y)], (3.0, rest))
             }
-            Solid::Disc { disc: [x, y, radius_m] } => self.circle("wall", Vec2::new(*x, *y), *radius_m, "") + "\n",
+            Solid::Disc { disc: [x, y, radius_m] } => self.circle(class, Vec2::new(*x, *y), *radius_m, rest) + "\n",
             Solid::Polygon { polygon } => {
                 let corners = polygon.iter().map(|corner| self.at(Vec2::from(*corner)));
                 let corners: Vec<String> = corners.map(|at| format!("{},{}", px(at.x), px(at.y))).collect();
-                format!("<polygon class=\"wall\" points=\"{}\"/>\n", corners.join(" "))
+                format!("<polygon class=\"{class}\" points=\"{}\"{rest}/>\n", corners.join(" "))
             }
-        };
-        let walls = walls(stage);
-        let walls = walls.iter().map(wall);
-        self.rectangle("ground", [-self.half, self.half], 6.0) + &walls.collect::<String>()
+        }
     }
 
     /// Returns an SVG circle of the radius `radius_m` \[m\] around the point `at` \[m\] of the world frame. `class` is

@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use super::movers;
 use super::scene::{Scene, SceneFrame};
 use super::sheet::{COLOURS, View, goal_mark, goals, legend, px, sheet, verdict, waypoint_mark};
 use murmurate::time::Span;
@@ -40,7 +41,7 @@ pub fn marks(scene: &Scene) -> Vec<(String, f32, String)> {
 pub fn drawn(scene: &Scene, view: &View) -> String {
     let stage = &scene.stage;
     let last = &scene.frames[scene.frames.len() - 1];
-    let mut text = goals(view, scene, true, |_| String::new());
+    let mut text = movers::paths(view, stage) + &goals(view, scene, true, |_| String::new());
     for (robot, at) in scene.frames[0].at.iter().enumerate() {
         let start = view.circle("start", *at, stage.radius_m, " stroke-width=\"2\"");
         let _ = writeln!(text, "<g class=\"c{}\">{start}</g>", robot % COLOURS);
@@ -53,11 +54,18 @@ pub fn drawn(scene: &Scene, view: &View) -> String {
             moments.push(frame);
         }
     }
+    let faded = |index: usize| {
+        let opacity = FAINT + (STRONG - FAINT) * (index + 1) as f32 / moments.len() as f32;
+        format!(" opacity=\"{opacity:.2}\"")
+    };
+    for (index, moment) in moments.iter().enumerate() {
+        text += &movers::standing(view, stage, moment.time, &faded(index)).concat();
+    }
+    text += &movers::standing(view, stage, last.time, "").concat();
     for robot in 0..scene.robots() {
         let _ = write!(text, "<g class=\"c{}\">{}", robot % COLOURS, path(scene, view, robot));
         for (index, moment) in moments.iter().enumerate() {
-            let opacity = FAINT + (STRONG - FAINT) * (index + 1) as f32 / moments.len() as f32;
-            let rest = format!(" opacity=\"{opacity:.2}\"");
+            let rest = faded(index);
             // A robot that waits at its goal is drawn there only once.
             if (moment.at[robot] - last.at[robot]).norm() > stage.radius_m * 0.5 {
                 text += &view.circle("dot", moment.at[robot], stage.radius_m, &rest);
