@@ -98,7 +98,10 @@ pub struct Environments {
     /// Rewards of the scenario in the last step.
     scenario_reward: Vec<f32>,
     reached: Vec<bool>,
-    pub(super) observing: Observing,
+    /// Observations of the roles, and that of the critic last, if it is another.
+    pub(super) observing: Vec<Observing>,
+    /// Role of each robot, by its id in its team; empty if all have the first one.
+    pub(super) role_of: Arc<[u8]>,
     /// Lengths of the remaining paths after the last step \[m\], where the reward uses them.
     left_m: Vec<f32>,
 }
@@ -166,7 +169,8 @@ impl Environments {
             filters: vec![None; robots],
             scenario_reward: vec![0.0; robots],
             reached: vec![false; robots],
-            observing: Observing::default(),
+            observing: Vec::new(),
+            role_of: Arc::new([]),
             left_m: vec![0.0; robots],
         }
     }
