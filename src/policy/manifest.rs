@@ -10,6 +10,18 @@ use crate::chassis::{self, Chassis};
 use crate::messages::geometry::Vec2;
 use crate::observation::{Dynamics, Observation};
 
+/// Longest `message_name` \[characters\].
+const MAX_NAME: usize = 80;
+
+/// Checks the name of what a policy's messages mean, which errors repeat.
+pub(crate) fn check_message_name(name: Option<&str>) -> Result<(), String> {
+    let plain = |name: &str| (1..=MAX_NAME).contains(&name.chars().count()) && !name.chars().any(char::is_control);
+    if name.is_none_or(plain) {
+        return Ok(());
+    }
+    Err(format!("message_name: it is not 1 to {MAX_NAME} printable characters"))
+}
+
 /// Key of the safetensors metadata under which a policy file stores its manifest.
 pub const KEY: &str = "murmurate";
 /// Version of the manifest's format that this module reads, and that the trainer writes.
@@ -278,6 +290,7 @@ impl Manifest {
         if self.format != FORMAT {
             return Err(format!("format: {}; this program reads {FORMAT} and 2", self.format));
         }
+        check_message_name(self.message_name.as_deref())?;
         for (field, widths) in [("encoder", &self.encoder), ("message", &self.message), ("update", &self.update)] {
             if widths.len() < 2 || widths.iter().any(|&width| width == 0 || width > 4096) {
                 return Err(format!("{field}: {widths:?} are not valid layer widths (two or more, each 1 to 4096)"));

@@ -19,6 +19,16 @@ fn read(file: &str) -> Vec<u8> {
     std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
+/// Returns four episodes of a team in the conditions by which trained policies are judged.
+fn judged(scenario: Arc<dyn Scenario>, models: Models) -> Trial {
+    let deployment = Deployment::preset("onboard-adhoc", scenario.robots()).expect("it is a mode");
+    let mut trial = Trial::with_registry(&Registry::builtin(), deployment, scenario, models).seed(5).episodes(4);
+    (trial.physics.contacts, trial.physics.wall_radius_m, trial.physics.lag_s) = (ContactRule::Judge, 0.16, 0.5);
+    let trial = trial.clamp(Clamp::Deployed).safety(Safety::deployed());
+    trial.check().expect("the team has what the policy takes");
+    trial
+}
+
 #[test]
 fn a_trained_policy_brings_the_default_team_of_its_task_through_it() {
     for name in TRAINED {
@@ -26,12 +36,7 @@ fn a_trained_policy_brings_the_default_team_of_its_task_through_it() {
         let task = TaskFile::read(&text).expect("it is sound");
         let scenario = task.scenario(&Settings::default()).expect("its default team is sound");
         let model = Model::from_file(&read(&format!("policies/{name}.safetensors")), name).expect("it is for the task");
-        let deployment = Deployment::preset("onboard-adhoc", scenario.robots()).expect("it is a mode");
-        let mut trial = Trial::with_registry(&Registry::builtin(), deployment, scenario, model).seed(5).episodes(4);
-        (trial.physics.contacts, trial.physics.wall_radius_m, trial.physics.lag_s) = (ContactRule::Judge, 0.16, 0.5);
-        let trial = trial.clamp(Clamp::Deployed).safety(Safety::deployed());
-        trial.check().expect("the team has what the policy takes");
-        let report = trial.run();
+        let report = judged(scenario, model.into()).run();
         let succeeded = counted(report.successes(), "success");
         assert!(report.successes() >= 3, "{name}: {succeeded} in four episodes: {:?}", report.episodes);
     }

@@ -108,8 +108,14 @@ impl Config {
             Ok(Sight { entries: entries.into(), channels })
         };
         let mut sights = Vec::new();
-        for (_, policy) in self.policies() {
-            sights.push(sight(&policy.observation)?);
+        for (name, policy) in self.policies() {
+            let own = self.roles.get(name).is_some_and(|role| role.has("observation"));
+            sights.push(sight(&policy.observation).map_err(|error| match error {
+                ConfigError::Field { field, reason } if own && field == "policy.observation" => {
+                    ConfigError::field(format!("roles.{name}.observation"), reason)
+                }
+                other => other,
+            })?);
         }
         if !self.roles.is_empty() {
             sights.push(sight(&self.observed())?);

@@ -418,8 +418,7 @@ impl Trainer {
         for weight in &self.actor.parameters {
             hasher.update(&weight.to_le_bytes());
         }
-        let roles: Vec<&str> = self.plan.config.roles.keys().map(String::as_str).collect();
-        format!("{} trained together, {}", roles.join(" and "), &hasher.finalize().to_hex()[..16])
+        format!("roles of one training, {}", &hasher.finalize().to_hex()[..16])
     }
 }
 
