@@ -1,13 +1,15 @@
 //! The policies that were trained for tasks of the library: each is for its task, and brings a team through it.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use murmurate::config::shown::counted;
-use murmurate::deploy::Deployment;
-use murmurate::policy::Model;
+use murmurate::deploy::{Deployment, roles_of};
+use murmurate::hearing::CommRange;
+use murmurate::policy::{Model, Models};
 use murmurate::registry::Registry;
 use murmurate::safety::{Clamp, Safety};
-use murmurate::scenario::{Settings, TaskFile};
+use murmurate::scenario::{Scenario, Settings, TaskFile};
 use murmurate::trial::Trial;
 use murmurate::world::ContactRule;
 
@@ -40,4 +42,27 @@ fn a_trained_policy_brings_the_default_team_of_its_task_through_it() {
         let succeeded = counted(report.successes(), "success");
         assert!(report.successes() >= 3, "{name}: {succeeded} in four episodes: {:?}", report.episodes);
     }
+}
+
+#[test]
+fn carriers_come_to_goals_that_scouts_alone_see_and_without_their_messages_do_not() {
+    let text = String::from_utf8(read("examples/tasks/scouts.toml")).expect("a task file is text");
+    let scenario = TaskFile::read(&text).and_then(|task| task.scenario(&Settings::default())).expect("it is sound");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/scouts");
+    let text = String::from_utf8(read("policies/scouts/roles.toml")).expect("it is text");
+    let roles = roles_of(&Registry::builtin(), &text, &folder).expect("they are sound");
+    let mut of = vec![0; scenario.robots()];
+    let mut models = Vec::new();
+    for (index, (name, role)) in roles.iter().enumerate() {
+        role.robots.iter().for_each(|robot| of[usize::from(*robot)] = index);
+        let file = std::fs::read(role.policy.as_ref().expect("each role has one")).expect("it is there");
+        models.push((name.clone(), Model::from_file(&file, "scouts").expect("it is for the task")));
+    }
+    let models = Models::of_roles(models, of).expect("they were trained together");
+    let told = judged(Arc::clone(&scenario), models.clone()).run();
+    let succeeded = counted(told.successes(), "success");
+    assert!(told.successes() >= 3, "{succeeded} in four episodes: {:?}", told.episodes);
+    let mut alone = judged(scenario, models);
+    alone.range = Some(CommRange::fixed(0.01));
+    assert_eq!(alone.run().successes(), 0, "a carrier that hears no scout finds no goal");
 }

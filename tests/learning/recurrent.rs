@@ -49,7 +49,8 @@ fn windows_of_decisions_are_computed_as_the_decisions_were_made() {
         config.episode_s = 1.3;
         let (actor, critic) = (TeamNetwork::new(config.actors()), Network::new(config.critic()));
         let mut stream = Seed::of_run(3).stream("windows");
-        let mut parameters = learner::parameters(&actor.networks()[0], Initial::Normal(&[0.0, 0.0, -0.5, -0.5]), &mut stream);
+        let mut parameters =
+            learner::parameters(&actor.networks()[0], Initial::Normal(&[0.0, 0.0, -0.5, -0.5]), &mut stream);
         // Larger weights of the output layer, before its four biases, so that what is heard matters.
         parameters.iter_mut().rev().skip(4).take(32).for_each(|weight| *weight *= 30.0);
         let of_critic = learner::parameters(&critic, Initial::Normal(&[0.0]), &mut stream);
@@ -62,7 +63,8 @@ fn windows_of_decisions_are_computed_as_the_decisions_were_made() {
             log_std_max: -0.3,
         };
         let scenarios = std::slice::from_ref(&passage);
-        let mut chunk = Chunk::new(3, &[vec![5]], (scenarios, config.sights(scenarios).expect("it takes fields alone")), &settings);
+        let mut chunk =
+            Chunk::new(3, &[vec![5]], (scenarios, config.sights(scenarios).expect("it takes fields alone")), &settings);
         chunk.start(&settings, &mut stream);
         let terms = Terms { clip: 0.2, entropy: 0.0, log_std_max: -0.3, overshoot: 0.0, limit_m_s: 1.0 };
         for _ in 0..3 {

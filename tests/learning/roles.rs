@@ -26,8 +26,13 @@ fn small() -> Config {
 }
 
 fn begin(config: &Config, seed: u64) -> Result<Trainer, SetupError> {
-    let plan =
-        Plan { scenario: "scouts.toml".to_owned(), preset: "small".to_owned(), config: config.clone(), seed, task: None };
+    let plan = Plan {
+        scenario: "scouts.toml".to_owned(),
+        preset: "small".to_owned(),
+        config: config.clone(),
+        seed,
+        task: None,
+    };
     Trainer::new(plan, &registry())
 }
 
@@ -118,7 +123,10 @@ fn roles_that_cannot_be_trained_together_are_refused_by_the_field() {
         config.roles.get_mut(role).expect("it is there")
     }
     for (change, named) in [
-        ((|config| of(config, "scout").robots = vec![0, 4]) as fn(&mut Config), "roles.scout.robots: there is no robot 4"),
+        (
+            (|config| of(config, "scout").robots = vec![0, 4]) as fn(&mut Config),
+            "roles.scout.robots: there is no robot 4",
+        ),
         (|config| of(config, "scout").robots = vec![0, 1], "roles.scout.robots: robot 1 has the role 'carrier'"),
         (|config| of(config, "scout").robots.clear(), "roles.scout.robots: no robot"),
         (|config| of(config, "scout").robots = vec![0], "roles: robot 2 has none"),
@@ -126,7 +134,8 @@ fn roles_that_cannot_be_trained_together_are_refused_by_the_field() {
         (|config| of(config, "carrier").update = Some(vec![0]), "roles.carrier.update"),
         (|config| of(config, "carrier").message = Some(vec![8]), "roles.carrier.message"),
         (|config| config.policy.hops = 2, "policy.hops"),
-        (|config| config.policy.update = vec![0], "policy.update"),
+        (|config| of(config, "scout").update = Some(vec![0]), "roles.scout.update"),
+        (|config| config.policy.update = vec![0], "policy.hops.0.update"),
         (
             |config| {
                 let role = config.roles.remove("scout").expect("it is there");

@@ -3,8 +3,8 @@
 use rand::RngExt;
 
 use super::adam::{Adam, clip};
-use super::network::{Network, TeamNetwork};
 use super::network::layer::{Activation, Layer};
+use super::network::{Network, TeamNetwork};
 use murmurate::random;
 use murmurate::random::Stream;
 

@@ -47,9 +47,10 @@ impl Config {
     /// Checks the policy of a role, or without a name that of all robots.
     fn check_policy(&self, role: &str, policy: &Policy) -> Result<(), ConfigError> {
         let own = |field: &str| self.roles.get(role).is_some_and(|role| role.has(field));
-        let wrong = |field: &str, reason: String| match field.split('.').next() {
-            Some(first) if own(first) => ConfigError::field(format!("roles.{role}.{field}"), reason),
-            _ => ConfigError::field(format!("policy.{field}"), reason),
+        // A field of a hop is that of all hops of the configuration.
+        let wrong = |field: &str, reason: String| match field.split('.').find(|part| own(part)) {
+            Some(part) => ConfigError::field(format!("roles.{role}.{part}"), reason),
+            None => ConfigError::field(format!("policy.{field}"), reason),
         };
         let named = |text: String| match text.split_once(": ") {
             Some((field, reason)) => wrong(field, reason.to_owned()),

@@ -237,9 +237,8 @@ impl Trainer {
         let scenarios = sizes.into_iter().map(build).collect::<Result<Vec<_>, _>>()?;
         let rows = self.plan.config.ppo.environments;
         let (settings, sights) = (self.settings(), self.plan.config.sights(&scenarios)?);
-        let chunk = |first: usize| {
-            Chunk::new(CHUNK.min(rows - first), &stage.groups, (&scenarios, sights.clone()), &settings)
-        };
+        let chunk =
+            |first: usize| Chunk::new(CHUNK.min(rows - first), &stage.groups, (&scenarios, sights.clone()), &settings);
         Ok((0..rows).step_by(CHUNK).map(chunk).collect())
     }
 
