@@ -16,12 +16,16 @@ use crate::training::train;
 
 const TASK: &str = include_str!("../../examples/tasks/scouts.toml");
 
-/// Returns a small training of the roles of `policies/scouts.toml`, with lost and late messages.
+/// Returns a small training of the roles of `policies/scouts.toml` in two teams of two, with lost and late messages.
 fn small() -> Config {
     let mut config = Config::from_toml(include_str!("../../policies/scouts.toml")).expect("it is sound");
     (config.ppo.environments, config.ppo.decisions, config.ppo.minibatch) = (40, 6, 64);
     (config.policy.encoder, config.policy.message, config.policy.update) = (vec![8, 8], vec![12, 12], vec![12]);
-    config.roles.get_mut("carrier").expect("it is there").update = Some(vec![10, 6]);
+    config.robots = Some(4);
+    config.curriculum.iter_mut().for_each(|stage| stage.groups = vec![vec![2, 2]]);
+    let carrier = config.roles.get_mut("carrier").expect("it is there");
+    (carrier.robots, carrier.update) = (vec![1, 3], Some(vec![10, 6]));
+    config.roles.get_mut("scout").expect("it is there").robots = vec![0, 2];
     config
 }
 
@@ -45,7 +49,7 @@ fn trainer(seed: u64) -> Trainer {
 }
 
 fn scenario() -> Arc<dyn Scenario> {
-    TaskFile::read(TASK).expect("it is sound").scenario(&Settings::default()).expect("it is sound")
+    TaskFile::read(TASK).expect("it is sound").scenario(&Settings::of(4)).expect("it is sound")
 }
 
 /// Returns the models of a team whose robots have these files of scouts and carriers.

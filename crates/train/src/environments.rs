@@ -411,11 +411,6 @@ impl Environments {
         team.messages.estimate(team.step, robot - team.first)
     }
 
-    /// Whether all robots of the team with index `team` have arrived.
-    pub fn all_arrived(&self, team: usize) -> bool {
-        self.arrived[self.teams[team].range()].iter().all(|&arrived| arrived)
-    }
-
     /// Returns the time since the start of a team's episode \[s\].
     pub fn elapsed_s(&self, team: usize) -> f32 {
         self.teams[team].step as f32 * PERIOD.as_secs() as f32

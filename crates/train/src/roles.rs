@@ -47,6 +47,15 @@ impl Role {
     }
 }
 
+/// Returns the name of what robots of all roles mean by their messages, with these weights of all roles.
+pub(super) fn message_name(weights: &[f32]) -> String {
+    let mut hasher = blake3::Hasher::new();
+    for weight in weights {
+        hasher.update(&weight.to_le_bytes());
+    }
+    format!("roles of one training, {}", &hasher.finalize().to_hex()[..16])
+}
+
 /// Roles of a team, by their names. The index of a role is its place in their order.
 pub type Roles = BTreeMap<String, Role>;
 

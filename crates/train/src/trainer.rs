@@ -12,6 +12,7 @@ use super::parallel::in_parallel;
 use super::policy;
 use super::record::EpisodeTotals;
 use super::reward::has_reward;
+use super::roles::message_name;
 use super::rollout::{CHUNK, Chunk, RolloutSettings};
 use super::update::{Outcome, Workspace, update};
 use murmurate::config::ConfigError;
@@ -404,20 +405,11 @@ impl Trainer {
         };
         let manifests = config.manifests(self.scenario.name(), self.settings().log_std_max).into_iter();
         let tensors = self.actor.network.tensors(&self.actor.parameters);
-        let message = (!config.roles.is_empty()).then(|| self.message_name());
+        let message = (!config.roles.is_empty()).then(|| message_name(&self.actor.parameters));
         let file = |(manifest, tensors): (AnyManifest, _)| {
             policy::file(manifest.with_message_name(message.clone()), training.clone(), tensors)
         };
         manifests.zip(tensors).map(file).collect()
-    }
-
-    /// Returns the name of what robots of all roles mean by their messages with the current weights of all roles.
-    fn message_name(&self) -> String {
-        let mut hasher = blake3::Hasher::new();
-        for weight in &self.actor.parameters {
-            hasher.update(&weight.to_le_bytes());
-        }
-        format!("roles of one training, {}", &hasher.finalize().to_hex()[..16])
     }
 }
 
