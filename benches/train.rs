@@ -154,13 +154,13 @@ fn forward(bencher: Bencher, architecture: &str) {
     if architecture == "published" {
         (config.policy.architecture, config.policy.edge) = (Some(Architecture::Published), Vec::new());
     }
-    let network = Network::new(config.actor());
+    let network = Network::new(config.actors().remove(0));
     let mut stream = Seed::of_run(1).stream("bench");
     let parameters = learner::parameters(&network, Initial::Normal(&[0.0; 4]), &mut stream);
     let mut graphs = Graphs::new(5, network.inputs(), network.shape().edge);
     for _ in 0..ENVIRONMENTS {
         for _ in 0..5 {
-            graphs.source().1.iter_mut().for_each(|float| *float = stream.random_range(-2.0..2.0));
+            graphs.source(0).1.iter_mut().for_each(|float| *float = stream.random_range(-2.0..2.0));
         }
         for receiver in 0..5 {
             for sender in (0..5).filter(|&sender| sender != receiver) {

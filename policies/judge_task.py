@@ -1,4 +1,4 @@
-"""Judges a policy file for a task against a scripted one on layouts that nobody has chosen: seeds from the file's SHA-256.
+"""Judges a policy file, or a file of roles, for a task against a scripted one on layouts that nobody has chosen: seeds from the file's SHA-256.
 
 Each layout is a run of one episode, so that both policies have the same starts and goals. The conditions are those of
 `onboard-adhoc` with a lag of 0.5 s, 20 ms, a loss of 16 % and the safety filter.
@@ -26,7 +26,8 @@ def main() -> None:
     digest, first = chosen(given.policy)
 
     def run(policy: str, seed: int) -> dict:
-        return sim(given.program, "--scenario", given.task, "--policy", policy, "--seed", str(seed), "--episodes", "1",
+        kind = "--roles" if policy.endswith(".toml") else "--policy"
+        return sim(given.program, "--scenario", given.task, kind, policy, "--seed", str(seed), "--episodes", "1",
                    *CONDITIONS, *more)
 
     def runs(policy: str) -> list[dict]:

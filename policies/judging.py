@@ -6,6 +6,7 @@ import json
 import math
 import pathlib
 import subprocess
+import tomllib
 
 # Robots like the published ones: they lag, messages are late and lost, and the safety filter is on.
 CONDITIONS = ("--mode onboard-adhoc --lag-s 0.5 --delay-ms 20 --loss 0.16 --contacts judge --wall-radius-m 0.16 "
@@ -21,8 +22,13 @@ def parser(about: str) -> argparse.ArgumentParser:
 
 
 def chosen(policy: pathlib.Path) -> tuple[str, int]:
-    """The SHA-256 of a policy file, and the first seed, which is its beginning, so that it cannot be picked."""
-    digest = hashlib.sha256(policy.read_bytes()).hexdigest()
+    """The SHA-256 of a policy file, or of the files of roles, and the first seed, which is its beginning, so that it
+    cannot be picked."""
+    files = [policy]
+    if policy.suffix == ".toml":
+        roles = tomllib.loads(policy.read_text())["roles"]
+        files = [policy.parent / roles[name]["policy"] for name in sorted(roles)]
+    digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
     return digest, int(digest[:8], 16)
 
 

@@ -18,7 +18,7 @@ mod ticks;
 pub use presets::MODES;
 pub use roles::{Role, Roles, roles_of};
 pub use routes::Routes;
-pub use senses::senses_of;
+pub use senses::{check_name, senses_of};
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -14,7 +14,7 @@ use crate::senses::{MAX_SENSES, Settings};
 const MAX_NAME: usize = 40;
 
 /// Checks a name in the table `table`. The error names the field.
-pub(super) fn check_name(table: &str, name: &str) -> Result<(), ConfigError> {
+pub fn check_name(table: &str, name: &str) -> Result<(), ConfigError> {
     let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
     if (1..=MAX_NAME).contains(&name.len()) && name.chars().all(plain) {
         return Ok(());

@@ -75,6 +75,23 @@ impl AnyManifest {
         }
     }
 
+    /// Returns the name of what the policy's messages mean; empty if no other policy understands them.
+    pub fn message_name(&self) -> &str {
+        let name = match self {
+            AnyManifest::Format1(manifest) => &manifest.message_name,
+            AnyManifest::Format2(manifest) => &manifest.message_name,
+        };
+        name.as_deref().unwrap_or_default()
+    }
+
+    /// Returns the manifest with this name of what the policy's messages mean.
+    pub fn with_message_name(self, message_name: Option<String>) -> AnyManifest {
+        match self {
+            AnyManifest::Format1(manifest) => AnyManifest::Format1(Manifest { message_name, ..manifest }),
+            AnyManifest::Format2(manifest) => AnyManifest::Format2(hops::Manifest { message_name, ..manifest }),
+        }
+    }
+
     /// Returns the entries of the observation, in the order of the encoder's inputs.
     pub fn observation(&self) -> Vec<Entry> {
         match self {

@@ -10,6 +10,18 @@ use crate::chassis::{self, Chassis};
 use crate::messages::geometry::Vec2;
 use crate::observation::{Dynamics, Observation};
 
+/// Longest `message_name` \[characters\].
+const MAX_NAME: usize = 80;
+
+/// Checks the name of what a policy's messages mean, which errors repeat.
+pub(crate) fn check_message_name(name: Option<&str>) -> Result<(), String> {
+    let plain = |name: &str| (1..=MAX_NAME).contains(&name.chars().count()) && !name.chars().any(char::is_control);
+    if name.is_none_or(plain) {
+        return Ok(());
+    }
+    Err(format!("message_name: it is not 1 to {MAX_NAME} printable characters"))
+}
+
 /// Key of the safetensors metadata under which a policy file stores its manifest.
 pub const KEY: &str = "murmurate";
 /// Version of the manifest's format that this module reads, and that the trainer writes.
@@ -221,6 +233,10 @@ pub struct Manifest {
     pub limit_m_s: f32,
     /// Hold time \[s\]: age up to which a neighbour's newest message is used.
     pub hold_s: f64,
+    /// Name of what the policy's messages mean, which policies have that were trained with each other's messages, such as
+    /// those of the roles of a team; `None` for a policy that only understands itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub message_name: Option<String>,
     /// SHA-256 of all tensors' bytes, in the order of the tensors' names, in hexadecimal.
     pub sha256: String,
     /// Training run that made the file; `None` if the file does not state it.
@@ -250,6 +266,7 @@ impl Manifest {
             rate_hz: 20.0,
             limit_m_s: 1.5,
             hold_s: 0.2,
+            message_name: None,
             sha256: String::new(),
             training: None,
         }
@@ -273,6 +290,7 @@ impl Manifest {
         if self.format != FORMAT {
             return Err(format!("format: {}; this program reads {FORMAT} and 2", self.format));
         }
+        check_message_name(self.message_name.as_deref())?;
         for (field, widths) in [("encoder", &self.encoder), ("message", &self.message), ("update", &self.update)] {
             if widths.len() < 2 || widths.iter().any(|&width| width == 0 || width > 4096) {
                 return Err(format!("{field}: {widths:?} are not valid layer widths (two or more, each 1 to 4096)"));

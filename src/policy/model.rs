@@ -287,7 +287,8 @@ impl Model {
     pub fn message(&self) -> &str {
         match self {
             Model::Custom(custom) => &custom.origin.message,
-            Model::Orca | Model::Gnn(..) => "",
+            Model::Gnn(network, _) => network.manifest().message_name(),
+            Model::Orca => "",
         }
     }
 

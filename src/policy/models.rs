@@ -204,7 +204,8 @@ fn understands(one: &Model, other: &Model, role: &str) -> Result<(), String> {
     match [other, one].map(Model::message) {
         ["", _] | [_, ""] => Err(format!(
             "it is another policy than {whose}, and that both mean the same by their messages is not \
-             said: give both contracts one message.name (policies of formats 1 and 2 have none: take one file)"
+             said: give both contracts one message.name (policies of formats 1 and 2 have one if their roles were \
+             trained together: take such files, or one file)"
         )),
         [theirs, ours] if theirs != ours => differ("the name", &format!("'{theirs}'"), &format!("'{ours}'")),
         _ => Ok(()),

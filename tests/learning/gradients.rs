@@ -9,7 +9,7 @@ use murmurate_train::graphs::{Graphs, Window};
 use murmurate_train::loss::{self, Sample, Terms};
 use murmurate_train::network::layer::Activation;
 use murmurate_train::network::shape::{Aggregation, HopShape, MessagePart, UpdatePart, Widths};
-use murmurate_train::network::{Network, Shape, Space};
+use murmurate_train::network::{Shape, TeamNetwork, TeamSpace};
 use rand::RngExt;
 
 fn fill(floats: &mut [f32], stream: &mut Stream) {
@@ -17,13 +17,15 @@ fn fill(floats: &mut [f32], stream: &mut Stream) {
 }
 
 /// Returns three graphs of three robots: with late sources, with a robot 1 without neighbours, and without any edge.
-fn single_graphs(network: &Network, stream: &mut Stream) -> Batch<f64> {
-    let mut graphs = Graphs::new(3, network.inputs(), network.shape().edge);
+fn single_graphs(network: &TeamNetwork, stream: &mut Stream) -> Batch<f64> {
+    let mut graphs = Graphs::new(3, network.inputs(), network.edge_inputs());
     let heard: [&[(usize, u16)]; 3] =
         [&[(0, 1), (0, 3), (1, 0), (1, 2), (2, 4), (2, 3)], &[(0, 1), (0, 2), (2, 3)], &[]];
     for (extra, edges) in [2, 1, 0].into_iter().zip(heard) {
-        for _ in 0..3 + extra {
-            fill(graphs.source().1, stream);
+        // Robot 1 is of the second role, if there is one, and so is every other late source.
+        for source in 0..3 + extra {
+            let role = (source % 3) % network.networks().len();
+            fill(graphs.source(role as u8).1, stream);
         }
         for &(receiver, sender) in edges {
             fill(graphs.edge(receiver, sender), stream);
@@ -38,10 +40,10 @@ fn single_graphs(network: &Network, stream: &mut Stream) -> Batch<f64> {
 
 /// Returns windows of two rows of three robots, with messages of several ages, some from before the windows. In one row
 /// an episode begins within the window.
-fn windows(network: &Network, stream: &mut Stream) -> Batch<f64> {
-    let (widths, memory) = (network.hop_inputs(), network.shape().memory.is_some());
+fn windows(network: &TeamNetwork, stream: &mut Stream) -> Batch<f64> {
+    let (widths, memory) = (network.hop_inputs(), network.has_memory());
     let width: usize = widths.iter().sum();
-    let mut graphs = Graphs::new(3, network.inputs(), network.shape().edge).recurrent(2, widths, memory, 3);
+    let mut graphs = Graphs::new(3, network.inputs(), network.edge_inputs()).recurrent(2, widths, memory, 3);
     let mut past = vec![0.0; graphs.last_latents().len()];
     fill(&mut past, stream);
     assert!(graphs.restore_latents(past));
@@ -49,7 +51,7 @@ fn windows(network: &Network, stream: &mut Stream) -> Batch<f64> {
         [&[(0, 1, 0), (0, 2, 1), (1, 0, 3), (1, 2, 0), (2, 1, 2)], &[(0, 1, 1), (2, 0, 2), (2, 1, 0)], &[(1, 2, 1)]];
     for (graph, edges) in heard.iter().cycle().take(12).enumerate() {
         for _ in 0..3 {
-            fill(graphs.source().1, stream);
+            fill(graphs.source(0).1, stream);
             graphs.begins(graph == 6);
         }
         for &(receiver, sender, age) in *edges {
@@ -152,11 +154,14 @@ fn lost(outputs: &[f64], samples: &[Sample<f64>]) -> (f64, Vec<f64>) {
 }
 
 /// Compares every derivative of a network over a batch with central differences.
-fn compare(name: &str, network: &Network, batch: &Batch<f64>, stream: &mut Stream) {
+fn compare(name: &str, network: &TeamNetwork, batch: &Batch<f64>, stream: &mut Stream) {
     let mut parameters: Vec<f64> = (0..network.parameters()).map(|_| stream.random_range(-0.6..0.6)).collect();
     // Positive biases keep most units active: an inactive one has no gradient.
-    for layer in network.layers().concat() {
-        parameters[layer.bias()..layer.end()].iter_mut().for_each(|bias| *bias = bias.abs());
+    for (role, of_role) in network.networks().iter().enumerate() {
+        let parameters = &mut parameters[network.place(role)];
+        for layer in of_role.layers().concat() {
+            parameters[layer.bias()..layer.end()].iter_mut().for_each(|bias| *bias = bias.abs());
+        }
     }
     let sample = |stream: &mut Stream| Sample {
         action: [stream.random_range(-1.0..1.0), stream.random_range(-1.0..1.0)],
@@ -165,7 +170,7 @@ fn compare(name: &str, network: &Network, batch: &Batch<f64>, stream: &mut Strea
         advantage: stream.random_range(-1.0..1.0),
     };
     let samples: Vec<Sample<f64>> = (0..batch.outputs).map(|_| sample(stream)).collect();
-    let mut space = Space::default();
+    let mut space = TeamSpace::default();
     network.forward(&parameters, batch, &mut space);
     assert_eq!(space.outputs().len(), 4 * batch.outputs, "{name}");
     let (_, d_outputs) = lost(space.outputs(), &samples);
@@ -174,7 +179,7 @@ fn compare(name: &str, network: &Network, batch: &Batch<f64>, stream: &mut Strea
     let alive = gradient.iter().filter(|g| g.abs() > 1e-9).count();
     assert!(alive * 3 > gradient.len(), "{name}: {alive} of {} parameters matter", gradient.len());
 
-    let mut other = Space::default();
+    let mut other = TeamSpace::default();
     let mut worst: f64 = 0.0;
     for at in 0..parameters.len() {
         let (kept, by) = (parameters[at], 1e-6);
@@ -196,17 +201,61 @@ fn compare(name: &str, network: &Network, batch: &Batch<f64>, stream: &mut Strea
 fn every_derivative_of_networks_over_single_graphs_matches_central_differences() {
     for (index, shape) in one_hop_shapes().into_iter().chain(recurrent_shapes().into_iter().take(1)).enumerate() {
         let mut stream = Seed::of_run(3).stream(&format!("gradients/{index}"));
-        let network = Network::new(shape);
+        let network = TeamNetwork::new(vec![shape]);
         let batch = single_graphs(&network, &mut stream);
         compare(&format!("shape {index}"), &network, &batch, &mut stream);
     }
+}
+
+/// Returns the shapes of three roles that hear each other, with observations, layers and activations of their own.
+fn shapes_of_roles() -> Vec<Shape> {
+    let full = |encoder: &[usize], message: &[usize], update: &[usize]| {
+        Shape::one_hop(Architecture::Full, [encoder.to_vec(), message.to_vec(), update.to_vec()], 3)
+    };
+    let mut with_decoder = full(&[6, 5], &[13, 9, 7], &[12, 6, 5]);
+    with_decoder.decoder = Some(Widths::rectified(vec![5, 4]));
+    with_decoder.encoder.last = Activation::Tanh;
+    vec![full(&[4, 7, 5], &[13, 8, 6, 7], &[12, 9, 6, 4]), full(&[2, 5], &[13, 6, 7], &[12, 4]), with_decoder]
+}
+
+#[test]
+fn every_derivative_of_networks_of_roles_matches_central_differences() {
+    for roles in [2, 3] {
+        let mut stream = Seed::of_run(3).stream(&format!("gradients/roles/{roles}"));
+        let network = TeamNetwork::new(shapes_of_roles()[..roles].to_vec());
+        let batch = single_graphs(&network, &mut stream);
+        compare(&format!("{roles} roles"), &network, &batch, &mut stream);
+    }
+}
+
+#[test]
+fn the_loss_of_one_role_reaches_the_encoder_of_the_role_that_it_hears() {
+    let mut stream = Seed::of_run(3).stream("gradients/across");
+    let network = TeamNetwork::new(shapes_of_roles()[..2].to_vec());
+    let mut graphs = Graphs::new(2, network.inputs(), network.edge_inputs());
+    (0..2).for_each(|role| fill(graphs.source(role).1, &mut stream));
+    fill(graphs.edge(0, 1), &mut stream);
+    graphs.end();
+    let mut batch = Batch::default();
+    batch.gather([graphs.window(0, 1)].into_iter());
+    let parameters: Vec<f64> = (0..network.parameters()).map(|_| stream.random_range(0.0..0.6)).collect();
+    let mut space = TeamSpace::default();
+    network.forward(&parameters, &batch, &mut space);
+    let mut gradient = vec![0.0; parameters.len()];
+    // A loss of the robot of the first role alone.
+    let d_outputs = [1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0];
+    network.backward(&parameters, &batch, &d_outputs, &mut space, &mut gradient);
+    let heard = &gradient[network.place(1)];
+    let encoder = network.networks()[1].layers()[0].last().map(|layer| layer.end()).expect("it has layers");
+    assert!(heard[..encoder].iter().any(|derivative| derivative.abs() > 1e-9), "what it says is learnt");
+    assert!(heard[encoder..].iter().all(|derivative| *derivative == 0.0), "what it does is not");
 }
 
 #[test]
 fn every_derivative_of_networks_through_time_matches_central_differences() {
     for (index, shape) in one_hop_shapes().into_iter().chain(recurrent_shapes()).enumerate() {
         let mut stream = Seed::of_run(3).stream(&format!("gradients/time/{index}"));
-        let network = Network::new(shape);
+        let network = TeamNetwork::new(vec![shape]);
         let batch = windows(&network, &mut stream);
         compare(&format!("shape {index} through time"), &network, &batch, &mut stream);
     }

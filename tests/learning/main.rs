@@ -8,5 +8,6 @@ mod imitation;
 mod memory;
 mod python_export;
 mod recurrent;
+mod roles;
 mod sensing;
 mod training;

@@ -13,7 +13,7 @@ use murmurate_train::config::Config;
 use murmurate_train::evaluate::Evaluation;
 use murmurate_train::learner::{self, Initial};
 use murmurate_train::loss::{self, Sample, Terms};
-use murmurate_train::network::{Network, Space};
+use murmurate_train::network::{Network, TeamNetwork, TeamSpace};
 use murmurate_train::rollout::{Chunk, RolloutSettings};
 use murmurate_train::trainer::Trainer;
 
@@ -47,9 +47,10 @@ fn windows_of_decisions_are_computed_as_the_decisions_were_made() {
     for (name, mut config) in configurations() {
         // Short episodes, so that several begin and end within the record.
         config.episode_s = 1.3;
-        let (actor, critic) = (Network::new(config.actor()), Network::new(config.critic()));
+        let (actor, critic) = (TeamNetwork::new(config.actors()), Network::new(config.critic()));
         let mut stream = Seed::of_run(3).stream("windows");
-        let mut parameters = learner::parameters(&actor, Initial::Normal(&[0.0, 0.0, -0.5, -0.5]), &mut stream);
+        let mut parameters =
+            learner::parameters(&actor.networks()[0], Initial::Normal(&[0.0, 0.0, -0.5, -0.5]), &mut stream);
         // Larger weights of the output layer, before its four biases, so that what is heard matters.
         parameters.iter_mut().rev().skip(4).take(32).for_each(|weight| *weight *= 30.0);
         let of_critic = learner::parameters(&critic, Initial::Normal(&[0.0]), &mut stream);
@@ -63,7 +64,8 @@ fn windows_of_decisions_are_computed_as_the_decisions_were_made() {
             expert: None,
         };
         let scenarios = std::slice::from_ref(&passage);
-        let mut chunk = Chunk::new(3, &[vec![5]], (scenarios, None), &settings);
+        let mut chunk =
+            Chunk::new(3, &[vec![5]], (scenarios, config.sights(scenarios).expect("it takes fields alone")), &settings);
         chunk.start(&settings, &mut stream);
         let terms =
             Terms { clip: 0.2, entropy: 0.0, log_std_max: -0.3, overshoot: 0.0, limit_m_s: 1.0, imitation: 0.0 };
@@ -71,7 +73,7 @@ fn windows_of_decisions_are_computed_as_the_decisions_were_made() {
             chunk.collect(&settings, &parameters, &of_critic, 11, &mut stream);
             let record = &chunk.record;
             for extent in [(1, 0), (4, 0), (4, 2), (11, 0)] {
-                let (mut batch, mut space) = (Batch::default(), Space::default());
+                let (mut batch, mut space) = (Batch::default(), TeamSpace::default());
                 let windows = 0..record.windows(extent.0);
                 batch.gather(windows.clone().map(|window| record.window(window, extent)));
                 actor.forward(&parameters, &batch, &mut space);
@@ -132,7 +134,7 @@ fn the_file_of_a_training_drives_a_team_as_the_trainer_does() {
             draw: config.policy.draw,
         };
         let ours = evaluation.run(|_| EpisodeConditions::perfect(2), 2);
-        let model = Model::from_file(&trainer.policy_file(), "passage").expect("it is sound");
+        let model = Model::from_file(&trainer.policy_files()[0], "passage").expect("it is sound");
         let report =
             Trial::of_team("sim", "passage", 2).expect("a preset").model(model).seed(seed).episodes(episodes).run();
         let alike = ours.iter().zip(&report.episodes).filter(|(ours, theirs)| {

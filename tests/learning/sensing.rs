@@ -175,8 +175,8 @@ fn a_policy_is_trained_with_a_lidar_and_drives_a_team_that_has_one() {
     let mut resumed = Trainer::resume(&once.checkpoint(), &Registry::builtin()).expect("it was just written");
     iterate(&mut resumed, 3..8, 1);
     iterate(&mut once, 3..8, 2);
-    assert!(once.policy_file() == resumed.policy_file(), "the same weights on any number of threads, and resumed");
-    let model = Model::from_file(&once.policy_file(), "passage").expect("it is sound");
+    assert!(once.policy_files() == resumed.policy_files(), "the same weights on any number of threads, and resumed");
+    let model = Model::from_file(&once.policy_files()[0], "passage").expect("it is sound");
     assert_eq!((model.name(), model.requests().len()), ("gnn-hops", 3));
     let trial = |senses: &str| {
         let mut trial = Trial::preset("offboard", "passage").expect("it is a mode").model(model.clone()).episodes(2);
@@ -221,7 +221,7 @@ fn a_training_takes_the_senses_of_its_task_file_that_its_policy_names() {
     let mut said = begin(&task.replace("range_m = 2.0", "range_m = 1.0"), written).expect("it is sound");
     assert_eq!(said.plan().config.senses, written.senses, "the configuration has the last word");
     said.iterate(0.0, 2).expect("it stays finite");
-    assert!(said.policy_file() == trainer.policy_file(), "the lidar alone differs between the two files");
+    assert!(said.policy_files() == trainer.policy_files(), "the lidar alone differs between the two files");
     // A sense that the policy does not take may be of any kind.
     let camera = "\n[senses.camera]\nkind = \"relative\"\nmost = 3\nrange_m = 1.0\n";
     begin(&format!("{task}{camera}"), &config).expect("it is sound");

@@ -23,7 +23,7 @@ use murmurate_train::conditions::EpisodeConditions;
 use murmurate_train::config::{Config, PRESETS, Reward};
 use murmurate_train::environments::Environments;
 use murmurate_train::evaluate::Evaluation;
-use murmurate_train::network::{Network, Shape};
+use murmurate_train::network::{Network, Shape, TeamNetwork};
 use murmurate_train::rollout::RolloutSettings;
 use murmurate_train::trainer::{Plan, Trainer};
 use rand::RngExt;
@@ -57,7 +57,7 @@ pub fn train(mut trainer: Trainer, iterations: std::ops::Range<u32>, stop: u32, 
             checkpoint = trainer.checkpoint();
         }
     }
-    (checkpoint, trainer.policy_file())
+    (checkpoint, trainer.policy_files().concat())
 }
 
 #[test]
@@ -194,7 +194,7 @@ fn a_trained_policy_s_file_records_its_training() {
     for (preset, _) in PRESETS {
         let mut trainer = Trainer::new(plan(Config::preset(preset).expect("it is a preset"), 3), &Registry::builtin())
             .expect("it is sound");
-        let before = trainer.policy_file();
+        let before = trainer.policy_files().concat();
         let file = file::read(&before).expect("it can be read");
         let training = file.manifest.training().cloned().expect("it says so");
         assert_eq!((training.seed, training.decisions), (3, 0));
@@ -203,7 +203,7 @@ fn a_trained_policy_s_file_records_its_training() {
         let config: Config = serde_json::from_value(training.configuration).expect("it is a configuration");
         assert_eq!(config, trainer.plan().config, "the file alone is enough to train again");
         trainer.iterate(0.5, 2).expect("it stays finite");
-        assert_ne!(trainer.policy_file(), before);
+        assert_ne!(trainer.policy_files().concat(), before);
     }
 }
 
@@ -246,7 +246,7 @@ fn both(
     let config: Config = serde_json::from_value(configuration).expect("it is a configuration");
     let widths = [&manifest.encoder, &manifest.message, &manifest.update].map(Vec::clone);
     let edge = manifest.edge.iter().map(|field| field.floats()).sum();
-    let network = Network::new(Shape::one_hop(manifest.architecture, widths, edge));
+    let network = TeamNetwork::new(vec![Shape::one_hop(manifest.architecture, widths, edge)]);
     let critic = Network::new(config.critic());
     let settings = RolloutSettings {
         config: &config,

@@ -29,6 +29,8 @@ pub struct Batch<T> {
     pub nodes: usize,
     /// Observations of all sources, \[sources, inputs\], row-major. Those of the nodes come first.
     pub x: Vec<T>,
+    /// Role of the robot that has made each observation.
+    pub role: Vec<u8>,
     /// Index of each node's first edge in `sender`, and last the number of edges: one entry more than `nodes`.
     pub first: Vec<u32>,
     /// Source of each edge: a row of `x`, or from the number of sources on a row of `recorded`.
@@ -67,6 +69,7 @@ impl<T: Real> Batch<T> {
     /// then of their steps, then of the robots; those with outputs come before the others.
     pub fn gather<'a>(&mut self, windows: impl Iterator<Item = Window<'a>> + Clone) {
         self.x.clear();
+        self.role.clear();
         self.first.clear();
         self.sender.clear();
         self.e.clear();
@@ -83,6 +86,7 @@ impl<T: Real> Batch<T> {
                     let first = graphs.source_start[window.graph(step)] as usize;
                     let own = first * graphs.inputs..(first + graphs.robots) * graphs.inputs;
                     self.x.extend(graphs.observations[own].iter().map(|&float| T::of(float)));
+                    self.role.extend_from_slice(&graphs.roles[first..first + graphs.robots]);
                     self.node_of[at + step] = self.nodes as u32;
                     self.nodes += graphs.robots;
                 }
@@ -133,6 +137,7 @@ impl<T: Real> Batch<T> {
         next.node += robots;
         if graphs.latents.is_none() {
             let sources = Graphs::span(&graphs.source_start, graph);
+            self.role.extend_from_slice(&graphs.roles[sources.start + robots..sources.end]);
             let late = (sources.start + robots) * graphs.inputs..sources.end * graphs.inputs;
             next.extra += late.len() / graphs.inputs;
             self.x.extend(graphs.observations[late].iter().map(|&float| T::of(float)));

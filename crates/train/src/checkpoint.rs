@@ -3,8 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::adam::Adam;
-use super::learner::Learner;
-use super::network::{Network, Shape};
+use super::network::{Network, Shape, TeamNetwork};
 use super::rollout::CHUNK;
 use super::snapshot::Snapshot;
 use super::trainer::{Plan, SetupError, Trainer};
@@ -39,13 +38,12 @@ impl Trainer {
     /// Returns the complete state of the training as bytes, from which [`Trainer::resume`] continues with identical
     /// results.
     pub fn checkpoint(&self) -> Vec<u8> {
-        let of = |learner: &Learner| (learner.parameters.clone(), learner.adam.clone());
         let state = State {
             format: FORMAT,
             vector: vector_instructions(),
             plan: self.plan.clone(),
-            actor: of(&self.actor),
-            critic: of(&self.critic),
+            actor: (self.actor.parameters.clone(), self.actor.adam.clone()),
+            critic: (self.critic.parameters.clone(), self.critic.adam.clone()),
             chunks: self.chunks.iter().map(|chunk| chunk.environments.snapshot()).collect(),
             latents: match self.actor.network.is_recurrent() {
                 true => self.chunks.iter().map(|chunk| chunk.record.actor.last_latents().to_vec()).collect(),
@@ -68,17 +66,19 @@ impl Trainer {
     pub fn initialize_from(&mut self, bytes: &[u8]) -> Result<(), SetupError> {
         let state = read_state(bytes)?;
         let config = &self.plan.config;
-        let layers = |what: &'static str, theirs: &Shape, ours: &Shape| {
-            let other = || SetupError::Other { what, theirs: theirs.to_string(), ours: ours.to_string() };
+        let layers = |what: &'static str, theirs: &[Shape], ours: &[Shape]| {
+            let text = |shapes: &[Shape]| shapes.iter().map(Shape::to_string).collect::<Vec<_>>().join(", and ");
+            let other = || SetupError::Other { what, theirs: text(theirs), ours: text(ours) };
             if theirs == ours { Ok(()) } else { Err(other()) }
         };
-        layers("the policy's network", &state.plan.config.actor(), &config.actor())?;
-        layers("the critic's network", &state.plan.config.critic(), &config.critic())?;
-        for (learner, (parameters, _)) in [(&mut self.actor, state.actor), (&mut self.critic, state.critic)] {
-            if parameters.len() != learner.parameters.len() {
+        layers("the policy's network", &state.plan.config.actors(), &config.actors())?;
+        layers("the critic's network", &[state.plan.config.critic()], &[config.critic()])?;
+        let ours = [(&mut self.actor.parameters, state.actor), (&mut self.critic.parameters, state.critic)];
+        for (ours, (parameters, _)) in ours {
+            if parameters.len() != ours.len() {
                 return Err(SetupError::Format("its weights do not match its configuration".to_owned()));
             }
-            learner.parameters = parameters;
+            *ours = parameters;
         }
         Ok(())
     }
@@ -98,8 +98,9 @@ impl Trainer {
         let broken = |part: &str| SetupError::Format(format!("its {part} do not match its configuration"));
         // Before anything is made of the configuration, which could ask for any amount of memory.
         let (config, team) = (&state.plan.config, state.plan.config.robots);
-        let weights = [(config.actor(), &state.actor), (config.critic(), &state.critic)];
-        if weights.into_iter().any(|(shape, (parameters, _))| Network::new(shape).parameters() != parameters.len()) {
+        let (actor, critic) = (TeamNetwork::new(config.actors()), Network::new(config.critic()));
+        let weights = [(actor.parameters(), &state.actor), (critic.parameters(), &state.critic)];
+        if weights.into_iter().any(|(expected, (parameters, _))| expected != parameters.len()) {
             return Err(broken("weights"));
         }
         let robots: usize = state.chunks.iter().map(|chunk| chunk.position.len()).sum();
@@ -113,12 +114,16 @@ impl Trainer {
         if state.stage >= trainer.plan.config.curriculum.len() {
             return Err(broken("stages"));
         }
-        for (learner, (parameters, adam)) in [(&mut trainer.actor, state.actor), (&mut trainer.critic, state.critic)] {
-            let length = learner.network.parameters();
-            if parameters.len() != length || !adam.fits(length) {
+        let (actor, critic) = (&mut trainer.actor, &mut trainer.critic);
+        let learners = [
+            (&mut actor.parameters, &mut actor.adam, state.actor),
+            (&mut critic.parameters, &mut critic.adam, state.critic),
+        ];
+        for (ours, our_adam, (parameters, adam)) in learners {
+            if parameters.len() != ours.len() || !adam.fits(ours.len()) {
                 return Err(broken("weights"));
             }
-            (learner.parameters, learner.adam) = (parameters, adam);
+            (*ours, *our_adam) = (parameters, adam);
         }
         trainer.stage = state.stage;
         trainer.chunks = trainer.make_chunks()?;

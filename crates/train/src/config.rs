@@ -2,14 +2,13 @@
 //! decisions give the same weights.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::channels::Channels;
 use super::network::Shape;
 use super::observe::PRIVILEGED;
 pub use super::policy::Policy;
+pub use super::roles::{Role, Roles};
 pub use super::weights::Reward;
 use murmurate::chassis::{self, Chassis};
 use murmurate::config::{self, ConfigError};
@@ -17,7 +16,7 @@ use murmurate::policy::file::AnyManifest;
 use murmurate::policy::hops::action::Action;
 use murmurate::policy::hops::entry;
 use murmurate::policy::manifest::Architecture;
-use murmurate::scenario::{Scenario, Settings, TaskFile};
+use murmurate::scenario::{Settings, TaskFile};
 use murmurate::senses;
 
 /// Name and TOML text of each preset, a predefined configuration of a training.
@@ -55,6 +54,9 @@ pub struct Config {
     pub senses: BTreeMap<String, senses::Settings>,
     /// Network, observation and limits of the policy.
     pub policy: Policy,
+    /// Roles, each with the robots that have it and what their policy has in place of `policy`; none if left out.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub roles: Roles,
     /// Layer widths of the critic's network; the policy's widths if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub critic: Option<Critic>,
@@ -258,15 +260,18 @@ impl Config {
         self.curriculum.iter().position(|stage| progress < stage.until).unwrap_or(last)
     }
 
-    /// Returns the manifest of a policy trained with this configuration for the scenario named `scenario`, without the
-    /// data of the training and the hash of the weights. `log_std_max` is the upper limit of the log standard
-    /// deviations.
+    /// Returns the manifests of the policies trained with this configuration for the scenario named `scenario`, in the
+    /// order of the roles, without the data of the training and the hash of the weights. `log_std_max` is the upper
+    /// limit of the log standard deviations.
     ///
     /// # Panics
-    /// If the policy cannot have its fields together, which `check` excludes.
-    pub fn manifest(&self, scenario: &str, log_std_max: f32) -> AnyManifest {
-        let manifest = self.policy.manifest(scenario, Action::Velocity, Some(log_std_max));
-        manifest.unwrap_or_else(|why| panic!("a checked configuration has a policy: {why}"))
+    /// If a policy cannot have its fields together, which `check` excludes.
+    pub fn manifests(&self, scenario: &str, log_std_max: f32) -> Vec<AnyManifest> {
+        let manifest = |(_, policy): (&str, Policy)| {
+            let manifest = policy.manifest(scenario, Action::Velocity, Some(log_std_max));
+            manifest.unwrap_or_else(|why| panic!("a checked configuration has a policy: {why}"))
+        };
+        self.policies().into_iter().map(manifest).collect()
     }
 
     /// Returns the chassis (kind of drive and limits) of the robots.
@@ -277,17 +282,11 @@ impl Config {
         self.body.chassis().expect("a checked configuration has a sound chassis")
     }
 
-    /// Returns the channels among the entries of the policy's observation, joined with those of `scenarios` and with
-    /// the senses; `None` if there are none. An error names the wrong setting of a sense, or the channel that a
-    /// scenario has not.
-    pub fn channels(&self, scenarios: &[Arc<dyn Scenario>]) -> Result<Option<Channels>, ConfigError> {
-        Channels::new(&self.policy.observation, &self.senses, scenarios)
-    }
-
-    /// Returns the configuration with those senses of a task file, if there is one, that the policy's observation takes
-    /// by their names. Under a name that the configuration has, it keeps its own.
+    /// Returns the configuration with those senses of a task file, if there is one, that an observation takes by
+    /// their names. Under a name that the configuration has, it keeps its own.
     pub fn for_task(mut self, file: Option<&TaskFile>) -> Config {
-        let taken = entry::requests(&self.policy.observation);
+        let observed = self.observed();
+        let taken = entry::requests(&observed);
         let of_file = file.into_iter().flat_map(TaskFile::senses);
         for (name, settings) in of_file.filter(|(name, _)| taken.iter().any(|request| request.channel == **name)) {
             self.senses.entry(name.clone()).or_insert_with(|| senses::Settings::of_task(settings.clone()));
@@ -295,17 +294,18 @@ impl Config {
         self
     }
 
-    /// Returns the shape of the policy's network.
+    /// Returns the shapes of the policies' networks, in the order of the roles; of one network without roles.
     ///
     /// # Panics
     /// If a width is wrong, which `check` excludes.
-    pub fn actor(&self) -> Shape {
-        let shape = Shape::of_manifest(&self.manifest("any", self.ppo.log_std_max[1]));
-        shape.unwrap_or_else(|why| panic!("a checked configuration has a network: {why}"))
+    pub fn actors(&self) -> Vec<Shape> {
+        let manifests = self.manifests("any", self.ppo.log_std_max[1]);
+        let shapes = manifests.iter().map(Shape::of_manifest);
+        shapes.map(|shape| shape.unwrap_or_else(|why| panic!("a checked configuration has a network: {why}"))).collect()
     }
 
     /// Returns the shape of the critic's network, which observes all robots of a team and privileged information about
-    /// each: one hop in the architecture `full`.
+    /// each, and the roles of the robots, if they have some: one hop in the architecture `full`.
     pub fn critic(&self) -> Shape {
         let policy = &self.policy;
         let [encoder, message, update] = match &self.critic {
@@ -313,7 +313,7 @@ impl Config {
             None => [&policy.encoder, &policy.message, &policy.update],
         };
         let last = |widths: &[usize]| widths.last().copied().unwrap_or(0);
-        let (inputs, hidden) = (entry::floats(&policy.observation) + PRIVILEGED, last(encoder));
+        let (inputs, hidden) = (entry::floats(&self.observed()) + PRIVILEGED + self.roles.len(), last(encoder));
         let message_widths = [&[2 * hidden + CRITIC_EDGE], &message[..]].concat();
         let update_widths = [&[hidden + last(message)], &update[..], &[1]].concat();
         let encoder_widths = [&[inputs], &encoder[..]].concat();

@@ -103,7 +103,10 @@ pub struct Environments {
     /// Rewards of the scenario in the last step.
     scenario_reward: Vec<f32>,
     reached: Vec<bool>,
-    pub(super) observing: Observing,
+    /// Observations of the roles, and that of the critic last, if it is another.
+    pub(super) observing: Vec<Observing>,
+    /// Role of each robot, by its id in its team; empty if all have the first one.
+    pub(super) role_of: Arc<[u8]>,
     /// Lengths of the remaining paths after the last step \[m\], where the reward uses them.
     left_m: Vec<f32>,
 }
@@ -171,7 +174,8 @@ impl Environments {
             filters: vec![None; robots],
             scenario_reward: vec![0.0; robots],
             reached: vec![false; robots],
-            observing: Observing::default(),
+            observing: Vec::new(),
+            role_of: Arc::new([]),
             left_m: vec![0.0; robots],
         }
     }
@@ -385,11 +389,6 @@ impl Environments {
     pub fn estimate(&self, team: usize, robot: usize) -> Motion {
         let team = &self.teams[team];
         team.messages.estimate(team.step, robot - team.first)
-    }
-
-    /// Whether all robots of the team with index `team` have arrived.
-    pub fn all_arrived(&self, team: usize) -> bool {
-        self.arrived[self.teams[team].range()].iter().all(|&arrived| arrived)
     }
 
     /// Returns the time since the start of a team's episode \[s\].

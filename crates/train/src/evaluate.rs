@@ -25,7 +25,7 @@ const QUICK_SEED: u64 = 0x9a11_e7a1;
 pub struct Evaluation<'a> {
     /// Settings of the rollout, in which an action must be held for one step (`repeat` 1).
     pub settings: &'a RolloutSettings<'a>,
-    /// Weights and biases of the policy's network, as one vector.
+    /// Weights and biases of the policy's network, or of those of all roles, as one vector.
     pub parameters: &'a [f32],
     /// Scenario whose layouts (starts and goals) are run.
     pub scenario: &'a Arc<dyn Scenario>,
@@ -54,8 +54,8 @@ impl Evaluation<'_> {
         let mut stream = Seed::of_run(self.seed).stream(&format!("train/evaluate/{}", episodes.start));
         let rows = episodes.len();
         let scenarios = std::slice::from_ref(self.scenario);
-        let channels = settings.config.channels(scenarios).expect("a training whose scenario has them");
-        let mut chunk = Chunk::new(rows, &[vec![robots]], (scenarios, channels), settings);
+        let sights = settings.config.sights(scenarios).expect("a training whose scenario has them");
+        let mut chunk = Chunk::new(rows, &[vec![robots]], (scenarios, sights), settings);
         let mut judges = Vec::new();
         for (team, episode) in episodes.enumerate() {
             chunk.environments.place(team, (self.seed, episode), conditions(episode), &mut stream);

@@ -21,6 +21,8 @@ pub struct Graphs {
     /// Index of each graph's first edge in `senders`, and last the number of edges.
     pub(super) edge_start: Vec<u32>,
     pub(super) observations: Vec<f32>,
+    /// Role of the robot of each source.
+    pub(super) roles: Vec<u8>,
     /// Receiving robot of each edge, numbered within the graph; in ascending order.
     pub(super) receivers: Vec<u16>,
     /// Source of each edge, numbered within the graph.
@@ -92,6 +94,7 @@ impl Graphs {
         self.source_start.truncate(1);
         self.edge_start.truncate(1);
         self.observations.clear();
+        self.roles.clear();
         self.receivers.clear();
         self.senders.clear();
         self.edges.clear();
@@ -124,15 +127,18 @@ impl Graphs {
         self.source_start.extend(other.source_start[1..].iter().map(|start| sources + start));
         self.edge_start.extend(other.edge_start[1..].iter().map(|start| edges + start));
         self.observations.extend_from_slice(&other.observations);
+        self.roles.extend_from_slice(&other.roles);
         self.receivers.extend_from_slice(&other.receivers);
         self.senders.extend_from_slice(&other.senders);
         self.edges.extend_from_slice(&other.edges);
     }
 
-    /// Adds a source, an observation from which a message is made, to the unfinished graph. Returns the source's number
-    /// within the graph, and its observation, zero until the caller writes it. The robots' own come first.
-    pub fn source(&mut self) -> (u16, &mut [f32]) {
+    /// Adds a source, an observation from which a message is made, to the unfinished graph; `role` is the index of the
+    /// role of the robot that observed. Returns the source's number within the graph, and its observation, zero until the
+    /// caller writes it. The robots' own come first.
+    pub fn source(&mut self, role: u8) -> (u16, &mut [f32]) {
         let at = self.observations.len();
+        self.roles.push(role);
         let first = self.source_start[self.source_start.len() - 1] as usize;
         let index = u16::try_from(at / self.inputs - first).expect("a graph has few sources");
         self.observations.resize(at + self.inputs, 0.0);

@@ -3,8 +3,8 @@
 use rand::RngExt;
 
 use super::adam::{Adam, clip};
-use super::network::Network;
 use super::network::layer::{Activation, Layer};
+use super::network::{Network, TeamNetwork};
 use murmurate::random;
 use murmurate::random::Stream;
 
@@ -13,11 +13,11 @@ use murmurate::random::Stream;
 /// threads.
 pub const SHARDS: usize = 8;
 
-/// A network with its parameters and its optimiser's state.
+/// A network, or the networks of a team, with its parameters and its optimiser's state.
 #[derive(Clone, Debug)]
-pub struct Learner {
+pub struct Learner<N = Network> {
     /// Layer widths of the network, and the places of its layers in `parameters`.
-    pub network: Network,
+    pub network: N,
     /// All weights and biases of the network, in one vector.
     pub parameters: Vec<f32>,
     /// State of the network's optimiser.
@@ -41,7 +41,20 @@ impl Learner {
         let parameters = parameters(&network, initial, stream);
         Learner { adam: Adam::new(parameters.len()), parameters, network }
     }
+}
 
+impl Learner<TeamNetwork> {
+    /// Returns a learner of the networks of a team, with random weights of this distribution for each role from its
+    /// `stream`.
+    pub fn of_team(network: TeamNetwork, initial: Initial, stream: impl Fn(usize) -> Stream) -> Learner<TeamNetwork> {
+        let networks = network.networks().iter().enumerate();
+        let of_roles = networks.map(|(role, of_role)| parameters(of_role, initial, &mut stream(role)));
+        let parameters = of_roles.collect::<Vec<_>>().concat();
+        Learner { adam: Adam::new(parameters.len()), parameters, network }
+    }
+}
+
+impl<N> Learner<N> {
     /// Adds the gradients of shards, which are sums over `samples` samples, and takes one step of the optimiser with
     /// their mean, clipped to the norm `max_norm`. Returns the norm before clipping; `None` without a step if it is not
     /// finite.

@@ -30,6 +30,11 @@ impl Environments {
         }
     }
 
+    /// Whether all robots of the team with index `team` have arrived.
+    pub fn all_arrived(&self, team: usize) -> bool {
+        self.arrived[self.teams[team].range()].iter().all(|&arrived| arrived)
+    }
+
     /// Returns the judge of the present episode of a team, of whose steps it has seen none.
     pub fn judge(&self, team: usize) -> Judge {
         let scenario = self.scenario(team);

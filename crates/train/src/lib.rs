@@ -35,6 +35,7 @@ pub mod parallel;
 pub mod policy;
 pub mod record;
 pub mod reward;
+pub mod roles;
 mod rolling;
 pub mod rollout;
 mod scale;

@@ -1,6 +1,6 @@
 //! Validation of a training's configuration: the permitted values of its fields.
 
-use super::config::{Conditions, Config, Critic, Imitated, Ppo};
+use super::config::{Conditions, Config, Critic, Imitated, Policy, Ppo};
 use super::network::Shape;
 use murmurate::config::{ConfigError, in_range};
 use murmurate::policy::hops::action::Action;
@@ -15,23 +15,15 @@ impl Config {
         self.conditions.check()?;
         self.expert.as_ref().map_or(Ok(()), Imitated::check)?;
         self.check_curriculum()?;
+        self.check_roles()?;
+        self.policies().iter().try_for_each(|(role, policy)| self.check_policy(role, policy))?;
         self.check_networks()
     }
 
     fn check_networks(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
-        let named = |text: String| match text.split_once(": ") {
-            Some((field, reason)) => ConfigError::field(format!("policy.{field}"), reason.to_owned()),
-            None => ConfigError::field("policy", text),
-        };
         in_range("policy.rate_hz", self.policy.rate_hz, (20.0, 20.0))?;
         in_range("policy.hops", self.policy.hops as f64, (1.0, 8.0))?;
-        if self.policy.message.len() < 2 {
-            return wrong("policy.message", "training needs a message network of two or more layers".to_owned());
-        }
-        if self.policy.encoder.is_empty() {
-            return wrong("policy.encoder", "the encoder needs at least one layer".to_owned());
-        }
         if let Some(Critic { encoder, message, update }) = &self.critic {
             let fields = [("encoder", encoder, 1), ("message", message, 2), ("update", update, 0)];
             for (field, widths, least) in fields {
@@ -43,9 +35,7 @@ impl Config {
                 }
             }
         }
-        let manifest = self.policy.manifest("any", Action::Velocity, Some(self.ppo.log_std_max[1])).map_err(named)?;
-        let shape = Shape::of_manifest(&manifest).map_err(named)?;
-        let recurrent = shape.memory.is_some() || shape.hops.len() > 1;
+        let recurrent = self.policy.memory.is_some() || self.policy.hops > 1;
         let Ppo { window, lookback, .. } = self.ppo;
         if !recurrent && (window.is_some() || lookback.is_some()) {
             let why = "only policies with memory or several hops are learnt by windows; leave it out";
@@ -53,6 +43,28 @@ impl Config {
         }
         in_range("ppo.window", window.unwrap_or(1) as f64, (1.0, 1024.0))?;
         in_range("ppo.lookback", lookback.unwrap_or(0) as f64, (0.0, 64.0))
+    }
+
+    /// Checks the policy of a role, or without a name that of all robots.
+    fn check_policy(&self, role: &str, policy: &Policy) -> Result<(), ConfigError> {
+        let own = |field: &str| self.roles.get(role).is_some_and(|role| role.has(field));
+        // A field of a hop is that of all hops of the configuration.
+        let wrong = |field: &str, reason: String| match field.split('.').find(|part| own(part)) {
+            Some(part) => ConfigError::field(format!("roles.{role}.{part}"), reason),
+            None => ConfigError::field(format!("policy.{field}"), reason),
+        };
+        let named = |text: String| match text.split_once(": ") {
+            Some((field, reason)) => wrong(field, reason.to_owned()),
+            None => ConfigError::field("policy", text),
+        };
+        if policy.message.len() < 2 {
+            return Err(wrong("message", "training needs a message network of two or more layers".to_owned()));
+        }
+        if policy.encoder.is_empty() {
+            return Err(wrong("encoder", "the encoder needs at least one layer".to_owned()));
+        }
+        let manifest = policy.manifest("any", Action::Velocity, Some(self.ppo.log_std_max[1])).map_err(named)?;
+        Shape::of_manifest(&manifest).map_err(named).map(drop)
     }
 
     fn check_curriculum(&self) -> Result<(), ConfigError> {

@@ -212,6 +212,7 @@ impl Policy {
             rate_hz: self.rate_hz,
             limit_m_s: self.limit_m_s,
             hold_s: self.hold_s,
+            message_name: None,
             sha256: String::new(),
             training: None,
         }

@@ -6,15 +6,14 @@
 use std::sync::Arc;
 
 use super::batch::Batch;
-use super::channels::Channels;
-use super::config::Config;
 use super::environments::{Environments, TrainingTeam};
 use super::experts::Experts;
 use super::graphs::{Graphs, Window};
 use super::message_buffer::HISTORY_STEPS;
-use super::network::Space;
+use super::network::{Space, TeamSpace};
 use super::observe::{PRIVILEGED, Privileged};
 use super::record::{EpisodeState, EpisodeTotals, Experience, HALF_LOG_TWO_PI};
+use super::roles::Sight;
 pub use super::settings::{CHUNK, RolloutSettings};
 use murmurate::messages::geometry::{Planar, Vec2};
 use murmurate::policy::Draw;
@@ -35,7 +34,8 @@ pub struct Chunk {
     /// Decisions of the chunk's rows since the last update.
     pub record: Experience,
     batch: Batch<f32>,
-    space: Space<f32>,
+    space: TeamSpace<f32>,
+    critic_space: Space<f32>,
     /// Actions of the current decision \[m/s\], world frame.
     velocities: Vec<Vec2>,
     /// Rewards of all robots for the current decision.
@@ -48,23 +48,21 @@ pub struct Chunk {
 
 impl Chunk {
     /// Makes a chunk of `rows` rows whose episodes are not started. Each entry of `groups` lists the team sizes of one
-    /// row; rows take the entries in turn. `scenarios` has a scenario for each of these sizes, and `channels` those of
-    /// the policy's observation, joined with them.
+    /// row; rows take the entries in turn. `scenarios` has a scenario for each of these sizes, and `sights` the
+    /// observations of the configuration, joined with them.
     pub fn new(
         rows: usize,
         groups: &[Vec<usize>],
-        (scenarios, channels): (&[Arc<dyn Scenario>], Option<Channels>),
+        (scenarios, sights): (&[Arc<dyn Scenario>], Vec<Sight>),
         settings: &RolloutSettings,
     ) -> Chunk {
-        let Config { policy, .. } = settings.config;
         let environments = Environments::new(rows, groups, scenarios).equipped(&settings.config.chassis());
-        let environments = environments.observing(&policy.observation, channels);
+        let environments = environments.in_roles(sights, settings.config.role_of_robots());
         let robots = environments.position.len() / rows;
         let (actor, critic) = (settings.actor, settings.critic);
-        let mut graphs = Graphs::new(robots, actor.inputs(), actor.shape().edge);
+        let mut graphs = Graphs::new(robots, actor.inputs(), actor.edge_inputs());
         if actor.is_recurrent() {
-            let memory = actor.shape().memory.is_some();
-            graphs = graphs.recurrent(rows, actor.hop_inputs(), memory, HISTORY_STEPS);
+            graphs = graphs.recurrent(rows, actor.hop_inputs(), actor.has_memory(), HISTORY_STEPS);
         }
         let record = Experience {
             rows,
@@ -82,7 +80,8 @@ impl Chunk {
             robots,
             record,
             batch: Batch::default(),
-            space: Space::default(),
+            space: TeamSpace::default(),
+            critic_space: Space::default(),
             sources: Vec::new(),
         }
     }
@@ -204,8 +203,8 @@ impl Chunk {
                 if robot == environments.teams[at].first && environments.teams[at].episode.lockstep {
                     environments.measure(at, stream);
                 }
-                let (_, to) = record.actor.source();
                 let TrainingTeam { first, step, messages, .. } = &environments.teams[at];
+                let (_, to) = record.actor.source(environments.role(robot - first));
                 environments.observation(at, messages, (*step, robot - first), to);
                 if recurrent {
                     record.actor.begins(*step == 0);
@@ -227,7 +226,7 @@ impl Chunk {
                 } else {
                     let at = message.sender * HISTORY_STEPS + message.step as usize % HISTORY_STEPS;
                     *sources[at].get_or_insert_with(|| {
-                        let (source, to) = graphs.source();
+                        let (source, to) = graphs.source(environments.role(message.sender));
                         environments.observation(team, messages, (message.step, message.sender), to);
                         source
                     })
@@ -258,7 +257,10 @@ impl Chunk {
         for team in teams.clone() {
             let (delay_s, loss) = environments.teams[team].episode.mean_edge();
             for robot in environments.teams[team].range() {
-                let (_, to) = graphs.source();
+                let (_, to) = graphs.source(0);
+                let (to, roles) = to.split_at_mut(to.len() - settings.config.roles.len());
+                let role = environments.role(robot - environments.teams[team].first);
+                roles.iter_mut().skip(role.into()).take(1).for_each(|role| *role = 1.0);
                 let (own, more) = to.split_at_mut(to.len() - PRIVILEGED);
                 environments.true_observation(team, robot, own);
                 let privileged = Privileged {
@@ -369,8 +371,8 @@ impl Chunk {
         for from in (0..graphs).step_by(CHUNK) {
             let chunk = from..graphs.min(from + CHUNK);
             self.batch.gather(chunk.map(|graph| self.record.critic.window(graph, 1)));
-            settings.critic.forward(critic, &self.batch, &mut self.space);
-            self.record.value.extend_from_slice(self.space.outputs());
+            settings.critic.forward(critic, &self.batch, &mut self.critic_space);
+            self.record.value.extend_from_slice(self.critic_space.outputs());
         }
         let gamma = settings.config.ppo.gamma.powi(settings.repeat as i32);
         self.record.compute_advantages(self.rows * self.robots, gamma, gamma * settings.config.ppo.lambda);

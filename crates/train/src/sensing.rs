@@ -9,6 +9,7 @@ use std::borrow::Cow;
 use super::channels::{Channels, Observing, Place};
 use super::environments::{Environments, TrainingTeam};
 use super::message_buffer::MessageBuffer;
+use super::roles::Sight;
 use murmurate::messages::geometry::{Motion, Task};
 use murmurate::observation::Observation;
 use murmurate::policy::hops::entry::{self, Entry};
@@ -23,40 +24,66 @@ impl Environments {
 
     /// Returns the environments with these entries of an observation. `channels` are those among the entries, `None` if
     /// all are fields. All episodes must be started afterwards.
-    pub fn observing(mut self, entries: &[Entry], channels: Option<Channels>) -> Environments {
-        let memory = channels.as_ref().map_or(0, Channels::memory) * self.position.len();
-        self.observing = Observing { entries: entries.into(), channels, memory: vec![0.0; memory] };
+    pub fn observing(self, entries: &[Entry], channels: Option<Channels>) -> Environments {
+        self.in_roles(vec![Sight { entries: entries.into(), channels }], Vec::new())
+    }
+
+    /// Returns the environments with these observations of the roles, and of the critic last, if it has one of its own.
+    /// `role_of` has the index of the role of each robot, by its id in its team; it is empty if all have the first one.
+    /// All episodes must be started afterwards.
+    pub fn in_roles(mut self, sights: Vec<Sight>, role_of: Vec<u8>) -> Environments {
+        let robots = self.position.len();
+        let observing = |sight: Sight| {
+            let memory = sight.channels.as_ref().map_or(0, Channels::memory) * robots;
+            Observing { sight, memory: vec![0.0; memory] }
+        };
+        (self.observing, self.role_of) = (sights.into_iter().map(observing).collect(), role_of.into());
         self
+    }
+
+    /// Returns the index of the role of the robot with the index `robot` in its team.
+    pub(super) fn role(&self, robot: usize) -> u8 {
+        self.role_of.get(robot).copied().unwrap_or(0)
     }
 
     /// Makes the channels forget the episodes of the robots of a team.
     pub(super) fn forget(&mut self, team: usize) {
-        let (memory, robots) = (&mut self.observing.memory, self.position.len());
-        let each = memory.len() / robots;
-        let range = self.teams[team].range();
-        memory[range.start * each..range.end * each].fill(0.0);
+        let (range, robots) = (self.teams[team].range(), self.position.len());
+        for Observing { memory, .. } in &mut self.observing {
+            let each = memory.len() / robots;
+            memory[range.start * each..range.end * each].fill(0.0);
+        }
     }
 
     /// Returns the number of floats of the observation of a robot that is stored for each step; 0 if none is.
     pub(super) fn stored(&self) -> usize {
-        self.observing.channels.as_ref().map_or(0, |_| entry::floats(&self.observing.entries))
+        let sights = self.observing.iter().map(|observing| &observing.sight);
+        let stored = sights.filter(|sight| sight.channels.is_some()).map(|sight| entry::floats(&sight.entries));
+        stored.max().unwrap_or(0)
     }
 
     /// Makes and stores the observations of the robots of a team for the current step, if the policy takes channels.
     /// Noise of senses is drawn from `stream`.
     pub(super) fn perceive(&mut self, team: usize, stream: &mut Stream) {
-        if self.observing.channels.is_none() {
+        let stored = self.stored();
+        if stored == 0 {
             return;
         }
         let mut observing = std::mem::take(&mut self.observing);
-        let each = observing.memory.len() / self.position.len();
-        let Observing { entries, channels: Some(channels), memory } = &mut observing else { return };
         for robot in self.teams[team].range() {
             let estimate = self.estimate(team, robot);
-            let memory = &mut memory[robot * each..][..each];
-            let observation = self.seen((entries, channels, memory), (team, robot), &estimate, Some(stream));
-            let TrainingTeam { first, step, messages, .. } = &mut self.teams[team];
-            messages.store_observation((*step, robot - *first), &observation);
+            let TrainingTeam { first, step, .. } = self.teams[team];
+            let role = usize::from(self.role(robot - first));
+            if let Some(mut observation) = self.seen(&mut observing[role], (team, robot), &estimate, Some(stream)) {
+                // All have one length in the buffer.
+                observation.resize(stored, 0.0);
+                self.teams[team].messages.store_observation((step, robot - first), &observation);
+            }
+            // What the critic's own channels remember follows the episode, too.
+            let critic = observing.len() - 1;
+            if !self.role_of.is_empty() && !observing[critic].memory.is_empty() {
+                self.seen(&mut observing[critic], (team, robot), &estimate, None);
+            }
         }
         self.observing = observing;
     }
@@ -64,32 +91,33 @@ impl Environments {
     /// Writes the observation that the robot with index `robot` in the team with index `team` had in `step` into `to`.
     /// `messages` are those of its team, where that step is among the stored ones.
     pub fn observation(&self, team: usize, messages: &MessageBuffer, (step, robot): (u32, usize), to: &mut [f32]) {
-        match self.observing.channels {
-            Some(_) => to.copy_from_slice(messages.observation(step, robot, to.len())),
+        let Sight { entries, channels } = &self.observing[usize::from(self.role(robot))].sight;
+        let to = &mut to[..entry::floats(entries)];
+        match channels {
+            Some(_) => to.copy_from_slice(&messages.observation(step, robot, self.stored())[..to.len()]),
             None => {
                 let robot_of_all = self.teams[team].first + robot;
                 let leg = self.courses.leg_in(robot_of_all, step);
                 let own = self.own((team, robot_of_all), &leg, &messages.estimate(step, robot));
-                entry::write(&self.observing.entries, &own, to);
+                entry::write(entries, &own, to);
             }
         }
     }
 
-    /// Writes the observation of the robot with index `robot` among all robots that follows from the true state,
-    /// without any noise, into `to`. Its team has the index `team`.
+    /// Writes what the critic observes of the robot with index `robot` among all robots, which follows from the true
+    /// state without any noise, into `to`. Its team has the index `team`.
     pub fn true_observation(&mut self, team: usize, robot: usize, to: &mut [f32]) {
         let truth = self.point(robot);
         let mut observing = std::mem::take(&mut self.observing);
-        let Observing { entries, channels, memory } = &mut observing;
-        match channels {
-            None => entry::write(entries, &self.own((team, robot), &self.tasks[robot], &truth), to),
-            Some(channels) => {
-                let each = memory.len() / self.position.len();
-                // What the policy's channels remember does not change by it.
-                let mut memory = memory[robot * each..][..each].to_vec();
-                to.copy_from_slice(&self.seen((entries, channels, &mut memory), (team, robot), &truth, None));
-            }
+        let of_critic = observing.last_mut().expect("there is an observation");
+        let each = of_critic.memory.len() / self.position.len();
+        // What channels remember does not change by it.
+        let remembered = of_critic.memory[robot * each..][..each].to_vec();
+        match self.seen(of_critic, (team, robot), &truth, None) {
+            None => entry::write(&of_critic.sight.entries, &self.own((team, robot), &self.tasks[robot], &truth), to),
+            Some(observation) => to.copy_from_slice(&observation),
         }
+        of_critic.memory[robot * each..][..each].copy_from_slice(&remembered);
         self.observing = observing;
     }
 
@@ -115,15 +143,19 @@ impl Environments {
         }
     }
 
-    /// Returns the observation of a robot with the motion `estimate`, world frame, and changes the `memory` that its
-    /// channels have of it. Noise of senses is drawn from `stream`; without it there is none.
+    /// Returns the observation of a robot with the motion `estimate`, world frame, and changes the memory that its
+    /// channels have of it; `None` if it has no channels. Noise of senses is drawn from `stream`; without it there is
+    /// none.
     fn seen(
         &self,
-        (entries, channels, memory): (&[Entry], &mut Channels, &mut [f32]),
+        Observing { sight: Sight { entries, channels }, memory }: &mut Observing,
         (team, robot): (usize, usize),
         estimate: &Motion,
         stream: Option<&mut Stream>,
-    ) -> Vec<f32> {
+    ) -> Option<Vec<f32>> {
+        let channels = channels.as_mut()?;
+        let each = memory.len() / self.position.len();
+        let memory = &mut memory[robot * each..][..each];
         let range = self.teams[team].range();
         let place = Place {
             arena: &self.arena_now(team),
@@ -138,6 +170,6 @@ impl Environments {
         let values = channels.values(memory, &own, (&self.tasks[robot], &tasks));
         let mut observation = Vec::new();
         entry::append(entries, &Observation { values, ..own }, &mut observation);
-        observation
+        Some(observation)
     }
 }

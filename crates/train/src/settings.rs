@@ -2,7 +2,7 @@
 
 use super::config::{Config, Reward};
 use super::experts::Expert;
-use super::network::Network;
+use super::network::{Network, TeamNetwork};
 
 /// Largest number of rows (environments) in a chunk, which one thread steps together. The network evaluates all rows of
 /// a chunk at once, and their activations fit into a processor core's private cache.
@@ -19,8 +19,8 @@ const LOOKBACK: usize = 1;
 pub struct RolloutSettings<'a> {
     /// Configuration of the training.
     pub config: &'a Config,
-    /// Layout of the policy's network; its weights are passed separately.
-    pub actor: &'a Network,
+    /// Layout of the policy's network, or of those of all roles; the weights are passed separately.
+    pub actor: &'a TeamNetwork,
     /// Layout of the critic's network; its weights are passed separately.
     pub critic: &'a Network,
     /// Weights of the terms of a robot's reward in the current stage of the curriculum.

@@ -63,7 +63,7 @@ impl Environments {
             to_go_m: self.to_go_m.clone(),
             turned: self.rolling.iter().flat_map(|r| &r.wheels).map(|w| [w.heading(), w.yaw_rate()]).collect(),
             yielding: filters::yielding(&self.filters),
-            remembered: self.observing.memory.clone(),
+            remembered: self.observing.iter().flat_map(|observing| &observing.memory).copied().collect(),
             passed: self.courses.passed(),
         }
     }
@@ -87,7 +87,7 @@ impl Environments {
             && snapshot.turned.len() == turned
             && [0, robots].contains(&snapshot.passed.len())
             && motions.all(|number| number.is_finite())
-            && snapshot.remembered.len() == self.observing.memory.len()
+            && snapshot.remembered.len() == self.observing.iter().map(|observing| observing.memory.len()).sum::<usize>()
             && snapshot.remembered.iter().all(|number| number.is_finite())
             && snapshot.teams.iter().all(|team| team.is_sound(self.stored()))
     }
@@ -115,7 +115,9 @@ impl Environments {
             self.set_episode(team, (layout, &tasks), &snapshot.passed, episode);
         }
         filters::restore(&mut self.filters, &snapshot.yielding);
-        self.observing.memory = snapshot.remembered;
+        let mut remembered = snapshot.remembered.into_iter();
+        let memories = self.observing.iter_mut().flat_map(|observing| &mut observing.memory);
+        memories.zip(&mut remembered).for_each(|(memory, remembered)| *memory = remembered);
         true
     }
 }

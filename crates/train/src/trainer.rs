@@ -10,14 +10,16 @@ use super::config::Config;
 pub use super::errors::{Diverged, SetupError};
 use super::experts::Expert;
 use super::learner::{Initial, Learner};
-use super::network::Network;
+use super::network::{Network, TeamNetwork};
 use super::parallel::in_parallel;
 use super::policy;
 use super::record::EpisodeTotals;
 use super::reward::has_reward;
+use super::roles::message_name;
 use super::rollout::{CHUNK, Chunk, RolloutSettings};
 use super::settings::Taught;
 use super::update::{Outcome, Workspace, update};
+use murmurate::policy::file::AnyManifest;
 use murmurate::policy::manifest::Training;
 use murmurate::random::Seed;
 use murmurate::registry::Registry;
@@ -88,8 +90,8 @@ pub struct Trainer {
     pub(super) plan: Plan,
     registry: Registry,
     scenario: Arc<dyn Scenario>,
-    /// Network of the policy, with its parameters and its optimiser's state.
-    pub(super) actor: Learner,
+    /// Network of the policy, or of the policies of all roles, with its parameters and its optimiser's state.
+    pub(super) actor: Learner<TeamNetwork>,
     /// Network of the critic, with its parameters and its optimiser's state.
     pub(super) critic: Learner,
     /// Environments of the current stage, in groups that one thread steps together.
@@ -127,14 +129,14 @@ impl Trainer {
             return Err(SetupError::NoGoals { scenario: plan.scenario });
         }
         let seed = Seed::of_run(plan.seed);
-        let (actor, critic) = (Network::new(plan.config.actor()), Network::new(plan.config.critic()));
+        let (actor, critic) = (TeamNetwork::new(plan.config.actors()), Network::new(plan.config.critic()));
         let log_std = plan.config.ppo.log_std;
-        let learner = |network: Network, name: &str, bias: &[f32]| {
-            Learner::new(network, Initial::Normal(bias), &mut seed.child(name).stream("train/initial"))
-        };
+        let initial = |name: &str| seed.child(name).stream("train/initial");
+        let names: Vec<String> = plan.config.roles.keys().map(|role| format!("actor/{role}")).collect();
+        let of_role = |role: usize| initial(names.get(role).map_or("actor", String::as_str));
         let mut trainer = Trainer {
-            actor: learner(actor, "actor", &[0.0, 0.0, log_std, log_std]),
-            critic: learner(critic, "critic", &[0.0]),
+            actor: Learner::of_team(actor, Initial::Normal(&[0.0, 0.0, log_std, log_std]), of_role),
+            critic: Learner::new(critic, Initial::Normal(&[0.0]), &mut initial("critic")),
             plan,
             registry,
             scenario,
@@ -173,10 +175,9 @@ impl Trainer {
         let build = |robots| self.registry.scenario(&self.plan.scenario, &settings(robots));
         let scenarios = sizes.into_iter().map(build).collect::<Result<Vec<_>, _>>()?;
         let rows = self.plan.config.ppo.environments;
-        let (settings, channels) = (self.settings(), self.plan.config.channels(&scenarios)?);
-        let chunk = |first: usize| {
-            Chunk::new(CHUNK.min(rows - first), &stage.groups, (&scenarios, channels.clone()), &settings)
-        };
+        let (settings, sights) = (self.settings(), self.plan.config.sights(&scenarios)?);
+        let chunk =
+            |first: usize| Chunk::new(CHUNK.min(rows - first), &stage.groups, (&scenarios, sights.clone()), &settings);
         Ok((0..rows).step_by(CHUNK).map(chunk).collect())
     }
 
@@ -351,8 +352,9 @@ impl Trainer {
         self.progress
     }
 
-    /// Returns the bytes of a policy file with the current weights of the policy.
-    pub fn policy_file(&self) -> Vec<u8> {
+    /// Returns the bytes of the policy file of each role with the current weights, in the order of the roles; of one
+    /// file without roles. Files of roles that were trained together, with these weights, have one name of messages.
+    pub fn policy_files(&self) -> Vec<Vec<u8>> {
         let config = &self.plan.config;
         let training = Training {
             program: format!("murmurate {}", env!("CARGO_PKG_VERSION")),
@@ -362,8 +364,13 @@ impl Trainer {
             env_steps: self.env_steps,
             configuration: serde_json::to_value(config).expect("a configuration is JSON"),
         };
-        let manifest = config.manifest(self.scenario.name(), self.settings().log_std_max);
-        policy::file(manifest, training, self.actor.network.tensors(&self.actor.parameters))
+        let manifests = config.manifests(self.scenario.name(), self.settings().log_std_max).into_iter();
+        let tensors = self.actor.network.tensors(&self.actor.parameters);
+        let message = (!config.roles.is_empty()).then(|| message_name(&self.actor.parameters));
+        let file = |(manifest, tensors): (AnyManifest, _)| {
+            policy::file(manifest.with_message_name(message.clone()), training.clone(), tensors)
+        };
+        manifests.zip(tensors).map(file).collect()
     }
 }
 

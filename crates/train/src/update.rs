@@ -8,7 +8,7 @@ use rand::seq::SliceRandom;
 use super::batch::Batch;
 use super::learner::{Learner, SHARDS};
 use super::loss::{self, Sample, Terms};
-use super::network::Space;
+use super::network::{Space, TeamNetwork, TeamSpace};
 use super::parallel::in_parallel;
 use super::record::Experience;
 use super::rollout::{CHUNK, RolloutSettings};
@@ -46,7 +46,7 @@ struct Shard {
     actor: Vec<f32>,
     critic: Vec<f32>,
     batch: Batch<f32>,
-    actor_space: Space<f32>,
+    actor_space: TeamSpace<f32>,
     critic_space: Space<f32>,
     d_outputs: Vec<f32>,
     /// Number of samples: decisions of robots.
@@ -84,7 +84,7 @@ impl Workspace {
 pub fn update(
     settings: &RolloutSettings,
     records: &[&Experience],
-    actor: &mut Learner,
+    actor: &mut Learner<TeamNetwork>,
     critic: &mut Learner,
     (learning_rate, entropy): (f32, f32),
     threads: usize,
@@ -174,13 +174,13 @@ impl Shard {
         &mut self,
         records: &[&Experience],
         extent: (usize, usize),
-        (actor, critic): (&Learner, &Learner),
+        (actor, critic): (&Learner<TeamNetwork>, &Learner),
         terms: &Terms<f32>,
         (mean, scale): (f32, f32),
     ) {
-        for (gradient, learner) in [(&mut self.actor, actor), (&mut self.critic, critic)] {
+        for (gradient, parameters) in [(&mut self.actor, &actor.parameters), (&mut self.critic, &critic.parameters)] {
             gradient.clear();
-            gradient.resize(learner.parameters.len(), 0.0);
+            gradient.resize(parameters.len(), 0.0);
         }
         (self.samples, self.divergence, self.entropy, self.disagreement, self.value_loss) = (0, 0.0, 0.0, 0.0, 0.0);
         let robots = records[0].actor.robots;

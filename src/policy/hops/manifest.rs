@@ -11,7 +11,7 @@ pub use super::layers::{Input, Layers};
 pub use super::memory::{Cell, Memory};
 use crate::messages::wire::MAX_FEATURES;
 use crate::policy::Draw;
-use crate::policy::manifest::{self, EdgeField, Training};
+use crate::policy::manifest::{self, EdgeField, Training, check_message_name};
 use crate::policy::weights::{self, LayerTensors};
 
 /// Version of the manifest's format of policies with several hops, which this module reads.
@@ -211,6 +211,10 @@ pub struct Manifest {
     pub limit_m_s: f32,
     /// Hold time \[s\]: age up to which a neighbour's newest message is used.
     pub hold_s: f64,
+    /// Name of what the policy's messages mean, which policies have that were trained with each other's messages, such as
+    /// those of the roles of a team; `None` for a policy that only understands itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub message_name: Option<String>,
     /// SHA-256 of all tensors' bytes, in the order of the tensors' names, in hexadecimal.
     pub sha256: String,
     /// Training run that made the file; `None` if the file does not state it.
@@ -260,6 +264,7 @@ impl Manifest {
         if self.format != FORMAT {
             return Err(format!("format: {}; expected {FORMAT}", self.format));
         }
+        check_message_name(self.message_name.as_deref())?;
         if self.hops.is_empty() || self.hops.len() > MAX_HOPS {
             return Err(format!("hops: {} of them; expected 1 to {MAX_HOPS}", self.hops.len()));
         }
@@ -402,6 +407,7 @@ mod tests {
             assert!(error.starts_with(field), "{field}: {error}");
         };
         refused("format", |m| m.format = 3);
+        refused("message_name", |m| m.message_name = Some("a\nb".to_owned()));
         refused("hops: 0", |m| m.hops.clear());
         refused("hops: 9", |m| m.hops = vec![m.hops[0].clone(); 9]);
         refused("encoder.widths", |m| m.encoder.widths[0] = 5);

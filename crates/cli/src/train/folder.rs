@@ -11,7 +11,12 @@ use murmurate_robot::temporary;
 use murmurate_robot::whole_file::WholeFile;
 use murmurate_robot::{BadInput, output};
 
-/// Output folder of a training, with its policy, checkpoint, learning curve and configuration.
+/// Name of the file of the policy that all robots share.
+pub const POLICY: &str = "policy.safetensors";
+/// Name of the file that names the policies of roles, as `sim --roles` takes it.
+pub const ROLES: &str = "roles.toml";
+
+/// Output folder of a training, with its policies, checkpoint, learning curve and configuration.
 pub struct Folder {
     path: PathBuf,
     /// Iteration of the last complete checkpoint; `None` if there is none.
@@ -35,9 +40,9 @@ impl Folder {
         Ok(folder)
     }
 
-    /// Returns the path of the policy file in the folder.
-    pub fn policy(&self) -> PathBuf {
-        self.path.join("policy.safetensors")
+    /// Returns the path of a file in the folder, such as of the policy.
+    pub fn file(&self, name: &str) -> PathBuf {
+        self.path.join(name)
     }
 
     /// Returns the path of the checkpoint in the folder.
@@ -60,16 +65,16 @@ impl Folder {
         Ok(read(&text, iterations).map_err(|e| wrong(e.to_string()))?)
     }
 
-    /// Saves the policy, the learning curve (CSV and SVG) and the checkpoint of this iteration. The checkpoint is
-    /// written last, so that the other files are never older.
+    /// Saves the policies with their names, the learning curve (CSV and SVG) and the checkpoint of this iteration. The
+    /// checkpoint is written last, so that the other files are never older.
     pub fn save(
         &mut self,
         iteration: u64,
-        (policy, csv, svg): (Vec<u8>, String, String),
+        (policies, csv, svg): (Vec<(String, Vec<u8>)>, String, String),
         checkpoint: &[u8],
     ) -> Result<()> {
         let files = || -> Result<()> {
-            self.write("policy.safetensors", &policy)?;
+            policies.iter().try_for_each(|(name, bytes)| self.write(name, bytes))?;
             self.write("curve.csv", csv.as_bytes())?;
             self.write("curve.svg", svg.as_bytes())?;
             self.write("checkpoint.bin", checkpoint)

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::budget::Budget;
 use super::curve::{SIZE, chart, smooth};
-use super::folder::Folder;
+use super::folder::{Folder, POLICY};
 use super::training::{self, Training};
 use super::{Args, Report, finish, plan};
 use murmurate::config::{regular, unquoted};
@@ -181,7 +181,8 @@ impl Training for ByImitation {
         rows.iter().try_for_each(|row| csv.serialize(row)).context("a row is CSV")?;
         let csv = String::from_utf8(csv.into_inner().context("a curve is CSV")?).context("CSV is text")?;
         let svg = plot(&trainer.plan().scenario, trainer.scenario().cost().map_or("", |cost| cost.unit), rows)?;
-        folder.save(trainer.iterations(), (trainer.policy_file(), csv, svg), &trainer.checkpoint())
+        let policies = vec![(POLICY.to_owned(), trainer.policy_file())];
+        folder.save(trainer.iterations(), (policies, csv, svg), &trainer.checkpoint())
     }
 }
 

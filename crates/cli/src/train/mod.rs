@@ -80,7 +80,8 @@ pub struct Args {
     /// Seed of all random numbers [default: 0]
     #[arg(long)]
     seed: Option<u64>,
-    /// Folder for all output: policy.safetensors, checkpoint.bin, curve.csv, curve.svg, config.toml
+    /// Folder for all output: policy.safetensors, checkpoint.bin, curve.csv, curve.svg, config.toml; of roles that are
+    /// trained together ROLE.safetensors each, and roles.toml for 'sim --roles'
     #[arg(long, value_name = "FOLDER", required_unless_present = "print_config")]
     out: Option<PathBuf>,
     /// Prints the configuration as TOML, for the scenario's team, and trains nothing
@@ -136,7 +137,7 @@ impl<'a, E: Serialize + ?Sized> Report<'a, E> {
     fn of(training: &'a impl Training, (folder, end): (&Folder, End), evaluation: Option<&'a E>) -> Report<'a, E> {
         let (scenario, preset, seed) = training.origin();
         Report {
-            policy: folder.policy().display().to_string(),
+            policy: folder.file(training.result()).display().to_string(),
             scenario,
             preset,
             seed,

@@ -91,7 +91,8 @@ fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
 
 /// Returns whether a policy of the configuration observes goals of the team besides that of its own task.
 fn sees_goals(config: &Config) -> bool {
-    let requests = entry::requests(&config.policy.observation);
+    let observed = config.observed();
+    let requests = entry::requests(&observed);
     requests.iter().any(|request| [goals::CHANNEL, goals::NEAREST].contains(&&*request.channel))
 }
 

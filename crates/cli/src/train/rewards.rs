@@ -1,12 +1,14 @@
 //! The command `murmurate train` in scenarios with goals: training by rewards (`murmurate_train::trainer`).
 
+use std::collections::BTreeMap;
 use std::time::Instant;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
+use murmurate::deploy;
 use murmurate::registry::Registry;
 use murmurate_robot::Ended;
 use murmurate_robot::output::{print, talk};
-use murmurate_train::config::Config;
+use murmurate_train::config::{Config, Role};
 use murmurate_train::evaluate::{Score, Scores, glance, quick_evaluation};
 use murmurate_train::expectation;
 use murmurate_train::reward::has_reward;
@@ -14,7 +16,7 @@ use murmurate_train::trainer::{Diverged, Metrics, Trainer};
 
 use super::budget::Budget;
 use super::curve::{Curve, Row};
-use super::folder::Folder;
+use super::folder::{Folder, POLICY, ROLES};
 use super::training::{self, Training};
 use super::{Args, Report, finish, plan};
 
@@ -40,6 +42,10 @@ impl Training for ByRewards {
     fn origin(&self) -> (&str, &str, u64) {
         let plan = self.trainer.plan();
         (self.trainer.scenario().name(), &plan.preset, plan.seed)
+    }
+
+    fn result(&self) -> &'static str {
+        if self.trainer.plan().config.roles.is_empty() { POLICY } else { ROLES }
     }
 
     fn iterations(&self) -> u64 {
@@ -83,9 +89,28 @@ impl Training for ByRewards {
 
     fn save(&self, folder: &mut Folder) -> Result<()> {
         let (trainer, curve) = (&self.trainer, &self.curve);
-        let files = (trainer.policy_file(), curve.to_csv()?, curve.plot(trainer.scenario().name())?);
+        let files = (policies(trainer)?, curve.to_csv()?, curve.plot(trainer.scenario().name())?);
         folder.save(trainer.iterations(), files, &trainer.checkpoint())
     }
+}
+
+/// Returns the files of the policies with their names: one for all robots, or one for each role, and last the one that
+/// says which robots have which role.
+fn policies(trainer: &Trainer) -> Result<Vec<(String, Vec<u8>)>> {
+    let roles = &trainer.plan().config.roles;
+    let file = |role: &str| format!("{role}.safetensors");
+    if roles.is_empty() {
+        return Ok(trainer.policy_files().into_iter().map(|bytes| (POLICY.to_owned(), bytes)).collect());
+    }
+    let of_file = |(name, role): (&String, &Role)| {
+        let role =
+            deploy::Role { robots: role.robots.clone(), policy: Some(file(name).into()), ..deploy::Role::default() };
+        (name.clone(), role)
+    };
+    let of_files: deploy::Roles = roles.iter().map(of_file).collect();
+    let text = toml::to_string(&BTreeMap::from([("roles", of_files)])).context("roles are TOML")?;
+    let names = roles.keys().map(|name| file(name));
+    Ok(names.zip(trainer.policy_files()).chain([(ROLES.to_owned(), text.into_bytes())]).collect())
 }
 
 /// Runs `train` in a scenario with goals.

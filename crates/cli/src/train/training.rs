@@ -11,7 +11,7 @@ use murmurate_train::trainer::Diverged;
 
 use super::Args;
 use super::budget::{Budget, Clock, Timed};
-use super::folder::Folder;
+use super::folder::{Folder, POLICY};
 use murmurate_robot::output::talk;
 
 /// Interval at which a training saves its files, and prints progress lines if there is no progress bar.
@@ -26,6 +26,11 @@ pub trait Training {
 
     /// Returns the name of the scenario, that of the preset, and the seed.
     fn origin(&self) -> (&str, &str, u64);
+
+    /// Returns the name of the file from which the policy is run.
+    fn result(&self) -> &'static str {
+        POLICY
+    }
 
     /// Returns the number of iterations so far.
     fn iterations(&self) -> u64;

@@ -156,7 +156,7 @@ impl<'a> TaughtTeam<'a> {
         let (robots, most) = (self.motion.len(), most_age(manifest));
         for robot in 0..robots {
             let own = self.own(robot);
-            let (_, to) = self.graphs.source();
+            let (_, to) = self.graphs.source(0);
             entry::write(&manifest.observation, &self.sight.see(own, robot, &self.tasks), to);
             scale(to, &units.observation);
             self.graphs.begins(self.sent.len() == 1);

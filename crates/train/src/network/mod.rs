@@ -7,6 +7,7 @@ pub mod layer;
 mod manifest;
 mod memory;
 pub mod shape;
+mod team;
 
 use super::batch::Batch;
 use super::matrix::Real;
@@ -15,6 +16,7 @@ use layer::{Back, Layer, Perceptron};
 use memory::{Memory, MemorySpace};
 use murmurate::policy::mlp::Instructions;
 pub use shape::Shape;
+pub use team::{TeamNetwork, TeamSpace};
 
 /// Shape of a network, with the place of each layer in its parameters. The parameters are one flat vector, which the
 /// caller passes to each function.
