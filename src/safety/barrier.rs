@@ -22,8 +22,8 @@ const BENDS: f32 = 2.0;
 /// Longest time for which a robot hears later than others that the episode runs, and moving obstacles with it.
 const LATE: Span = Span::from_millis(200);
 
-/// Share of what its drive can do with which a robot gets out of the way of a moving obstacle, so that there is a choice
-/// of directions.
+/// Share of what its drive can do with which a robot gets out of the way of a moving obstacle, so that there is a
+/// choice of directions.
 const AWAY: f32 = 0.8;
 
 /// Parameters from which the safety filter of one robot computes the limits that neighbours and walls set.

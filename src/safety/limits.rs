@@ -1,7 +1,7 @@
 //! Limits of a velocity as half-planes, and the velocity nearest to a wanted one that satisfies them all.
 //!
-//! Where no bound is below zero, zero satisfies all limits. One below zero asks to get out of the way. Where no velocity
-//! satisfies all limits, the answer is zero.
+//! Where no bound is below zero, zero satisfies all limits. One below zero asks to get out of the way. Where no
+//! velocity satisfies all limits, the answer is zero.
 
 use crate::messages::geometry::Vec2;
 

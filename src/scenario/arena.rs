@@ -1,5 +1,5 @@
-//! The arena of a scenario: ground, solid blocks (walls), the bottlenecks between them, and moving obstacles. All points
-//! of an arena are in the same frame, usually the world frame.
+//! The arena of a scenario: ground, solid blocks (walls), the bottlenecks between them, and moving obstacles. All
+//! points of an arena are in the same frame, usually the world frame.
 
 use std::borrow::Cow;
 

@@ -300,14 +300,13 @@ impl Trial {
         }
         let starts: Vec<Vec2> = self.layouts.episode(0).iter().map(|task| task.start).collect();
         let mut plant = (entry.build)(fixed, &self.physics, &starts, Seed::of_run(0));
-        if !fixed.movers.is_empty() && !plant.elapse(None) {
-            let why = format!("'{}' has no moving obstacles, and this task has some", entry.name);
-            return Err(ConfigError::field("plant", why));
-        }
-        if drawn.is_none_or(|arena| plant.enter(arena)) {
+        let why = if !fixed.movers.is_empty() && !plant.elapse(None) {
+            format!("'{}' has no moving obstacles, and this task has some", entry.name)
+        } else if drawn.is_some_and(|arena| !plant.enter(arena)) {
+            format!("'{}' has one arena for all episodes, and this task draws obstacles for each", entry.name)
+        } else {
             return Ok(());
-        }
-        let why = format!("'{}' has one arena for all episodes, and this task draws obstacles for each", entry.name);
+        };
         Err(ConfigError::field("plant", why))
     }
 

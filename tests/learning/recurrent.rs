@@ -64,8 +64,12 @@ fn windows_of_decisions_are_computed_as_the_decisions_were_made() {
             expert: None,
         };
         let scenarios = std::slice::from_ref(&passage);
-        let mut chunk =
-            Chunk::new(3, &[vec![5]], (scenarios, config.sights(scenarios).expect("it takes fields alone")), &settings);
+        let mut chunk = Chunk::new(
+            3,
+            &[vec![5]],
+            (scenarios, config.perceptions(scenarios).expect("it takes fields alone")),
+            &settings,
+        );
         chunk.start(&settings, &mut stream);
         let terms =
             Terms { clip: 0.2, entropy: 0.0, log_std_max: -0.3, overshoot: 0.0, limit_m_s: 1.0, imitation: 0.0 };

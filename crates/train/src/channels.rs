@@ -4,7 +4,6 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::roles::Sight;
 use murmurate::config::ConfigError;
 use murmurate::messages::geometry::{Task, Vec2};
 use murmurate::messages::local::Sensation;
@@ -16,11 +15,21 @@ use murmurate::scenario::{Arena, Scenario};
 use murmurate::senses::{Scanner, Settings};
 use murmurate::time::Span;
 
+/// What the robots of a role perceive: the entries of their observation, and the channels among them, joined with those
+/// of scenarios.
+#[derive(Clone, Debug)]
+pub struct Perception {
+    /// Entries of an observation.
+    pub entries: Arc<[Entry]>,
+    /// Channels among the entries; `None` if all are fields.
+    pub channels: Option<Channels>,
+}
+
 /// Observation of the robots of a role, or of the critic, in training environments.
 #[derive(Clone, Debug)]
 pub(super) struct Observing {
     /// Entries of an observation, and the channels among them.
-    pub sight: Sight,
+    pub perception: Perception,
     /// Memories of the channels of each robot's episode, one robot after the other.
     pub memory: Vec<f32>,
 }

@@ -54,8 +54,8 @@ impl Evaluation<'_> {
         let mut stream = Seed::of_run(self.seed).stream(&format!("train/evaluate/{}", episodes.start));
         let rows = episodes.len();
         let scenarios = std::slice::from_ref(self.scenario);
-        let sights = settings.config.sights(scenarios).expect("a training whose scenario has them");
-        let mut chunk = Chunk::new(rows, &[vec![robots]], (scenarios, sights), settings);
+        let perceptions = settings.config.perceptions(scenarios).expect("a training whose scenario has them");
+        let mut chunk = Chunk::new(rows, &[vec![robots]], (scenarios, perceptions), settings);
         let mut judges = Vec::new();
         for (team, episode) in episodes.enumerate() {
             chunk.environments.place(team, (self.seed, episode), conditions(episode), &mut stream);

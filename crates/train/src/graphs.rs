@@ -134,8 +134,8 @@ impl Graphs {
     }
 
     /// Adds a source, an observation from which a message is made, to the unfinished graph; `role` is the index of the
-    /// role of the robot that observed. Returns the source's number within the graph, and its observation, zero until the
-    /// caller writes it. The robots' own come first.
+    /// role of the robot that observed. Returns the source's number within the graph, and its observation, zero until
+    /// the caller writes it. The robots' own come first.
     pub fn source(&mut self, role: u8) -> (u16, &mut [f32]) {
         let at = self.observations.len();
         self.roles.push(role);

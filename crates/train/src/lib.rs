@@ -32,6 +32,7 @@ pub mod message_buffer;
 pub mod network;
 pub mod observe;
 pub mod parallel;
+mod policies;
 pub mod policy;
 pub mod record;
 pub mod reward;

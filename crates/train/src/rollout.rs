@@ -6,6 +6,7 @@
 use std::sync::Arc;
 
 use super::batch::Batch;
+use super::channels::Perception;
 use super::environments::{Environments, TrainingTeam};
 use super::experts::Experts;
 use super::graphs::{Graphs, Window};
@@ -13,7 +14,6 @@ use super::message_buffer::HISTORY_STEPS;
 use super::network::{Space, TeamSpace};
 use super::observe::{PRIVILEGED, Privileged};
 use super::record::{EpisodeState, EpisodeTotals, Experience, HALF_LOG_TWO_PI};
-use super::roles::Sight;
 pub use super::settings::{CHUNK, RolloutSettings};
 use murmurate::messages::geometry::{Planar, Vec2};
 use murmurate::policy::Draw;
@@ -48,16 +48,16 @@ pub struct Chunk {
 
 impl Chunk {
     /// Makes a chunk of `rows` rows whose episodes are not started. Each entry of `groups` lists the team sizes of one
-    /// row; rows take the entries in turn. `scenarios` has a scenario for each of these sizes, and `sights` the
+    /// row; rows take the entries in turn. `scenarios` has a scenario for each of these sizes, and `perceptions` the
     /// observations of the configuration, joined with them.
     pub fn new(
         rows: usize,
         groups: &[Vec<usize>],
-        (scenarios, sights): (&[Arc<dyn Scenario>], Vec<Sight>),
+        (scenarios, perceptions): (&[Arc<dyn Scenario>], Vec<Perception>),
         settings: &RolloutSettings,
     ) -> Chunk {
         let environments = Environments::new(rows, groups, scenarios).equipped(&settings.config.chassis());
-        let environments = environments.in_roles(sights, settings.config.role_of_robots());
+        let environments = environments.in_roles(perceptions, settings.config.role_of_robots());
         let robots = environments.position.len() / rows;
         let (actor, critic) = (settings.actor, settings.critic);
         let mut graphs = Graphs::new(robots, actor.inputs(), actor.edge_inputs());

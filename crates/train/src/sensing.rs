@@ -6,10 +6,9 @@
 
 use std::borrow::Cow;
 
-use super::channels::{Channels, Observing, Place};
+use super::channels::{Channels, Observing, Perception, Place};
 use super::environments::{Environments, TrainingTeam};
 use super::message_buffer::MessageBuffer;
-use super::roles::Sight;
 use murmurate::messages::geometry::{Motion, Task};
 use murmurate::observation::Observation;
 use murmurate::policy::hops::entry::{self, Entry};
@@ -25,19 +24,19 @@ impl Environments {
     /// Returns the environments with these entries of an observation. `channels` are those among the entries, `None` if
     /// all are fields. All episodes must be started afterwards.
     pub fn observing(self, entries: &[Entry], channels: Option<Channels>) -> Environments {
-        self.in_roles(vec![Sight { entries: entries.into(), channels }], Vec::new())
+        self.in_roles(vec![Perception { entries: entries.into(), channels }], Vec::new())
     }
 
     /// Returns the environments with these observations of the roles, and of the critic last, if it has one of its own.
     /// `role_of` has the index of the role of each robot, by its id in its team; it is empty if all have the first one.
     /// All episodes must be started afterwards.
-    pub fn in_roles(mut self, sights: Vec<Sight>, role_of: Vec<u8>) -> Environments {
+    pub fn in_roles(mut self, perceptions: Vec<Perception>, role_of: Vec<u8>) -> Environments {
         let robots = self.position.len();
-        let observing = |sight: Sight| {
-            let memory = sight.channels.as_ref().map_or(0, Channels::memory) * robots;
-            Observing { sight, memory: vec![0.0; memory] }
+        let observing = |perception: Perception| {
+            let memory = perception.channels.as_ref().map_or(0, Channels::memory) * robots;
+            Observing { perception, memory: vec![0.0; memory] }
         };
-        (self.observing, self.role_of) = (sights.into_iter().map(observing).collect(), role_of.into());
+        (self.observing, self.role_of) = (perceptions.into_iter().map(observing).collect(), role_of.into());
         self
     }
 
@@ -57,8 +56,10 @@ impl Environments {
 
     /// Returns the number of floats of the observation of a robot that is stored for each step; 0 if none is.
     pub(super) fn stored(&self) -> usize {
-        let sights = self.observing.iter().map(|observing| &observing.sight);
-        let stored = sights.filter(|sight| sight.channels.is_some()).map(|sight| entry::floats(&sight.entries));
+        let perceptions = self.observing.iter().map(|observing| &observing.perception);
+        let stored = perceptions
+            .filter(|perception| perception.channels.is_some())
+            .map(|perception| entry::floats(&perception.entries));
         stored.max().unwrap_or(0)
     }
 
@@ -91,7 +92,7 @@ impl Environments {
     /// Writes the observation that the robot with index `robot` in the team with index `team` had in `step` into `to`.
     /// `messages` are those of its team, where that step is among the stored ones.
     pub fn observation(&self, team: usize, messages: &MessageBuffer, (step, robot): (u32, usize), to: &mut [f32]) {
-        let Sight { entries, channels } = &self.observing[usize::from(self.role(robot))].sight;
+        let Perception { entries, channels } = &self.observing[usize::from(self.role(robot))].perception;
         let to = &mut to[..entry::floats(entries)];
         match channels {
             Some(_) => to.copy_from_slice(&messages.observation(step, robot, self.stored())[..to.len()]),
@@ -114,7 +115,9 @@ impl Environments {
         // What channels remember does not change by it.
         let remembered = of_critic.memory[robot * each..][..each].to_vec();
         match self.seen(of_critic, (team, robot), &truth, None) {
-            None => entry::write(&of_critic.sight.entries, &self.own((team, robot), &self.tasks[robot], &truth), to),
+            None => {
+                entry::write(&of_critic.perception.entries, &self.own((team, robot), &self.tasks[robot], &truth), to)
+            }
             Some(observation) => to.copy_from_slice(&observation),
         }
         of_critic.memory[robot * each..][..each].copy_from_slice(&remembered);
@@ -148,7 +151,7 @@ impl Environments {
     /// none.
     fn seen(
         &self,
-        Observing { sight: Sight { entries, channels }, memory }: &mut Observing,
+        Observing { perception: Perception { entries, channels }, memory }: &mut Observing,
         (team, robot): (usize, usize),
         estimate: &Motion,
         stream: Option<&mut Stream>,

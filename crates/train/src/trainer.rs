@@ -175,9 +175,10 @@ impl Trainer {
         let build = |robots| self.registry.scenario(&self.plan.scenario, &settings(robots));
         let scenarios = sizes.into_iter().map(build).collect::<Result<Vec<_>, _>>()?;
         let rows = self.plan.config.ppo.environments;
-        let (settings, sights) = (self.settings(), self.plan.config.sights(&scenarios)?);
-        let chunk =
-            |first: usize| Chunk::new(CHUNK.min(rows - first), &stage.groups, (&scenarios, sights.clone()), &settings);
+        let (settings, perceptions) = (self.settings(), self.plan.config.perceptions(&scenarios)?);
+        let chunk = |first: usize| {
+            Chunk::new(CHUNK.min(rows - first), &stage.groups, (&scenarios, perceptions.clone()), &settings)
+        };
         Ok((0..rows).step_by(CHUNK).map(chunk).collect())
     }
 

@@ -211,8 +211,8 @@ pub struct Manifest {
     pub limit_m_s: f32,
     /// Hold time \[s\]: age up to which a neighbour's newest message is used.
     pub hold_s: f64,
-    /// Name of what the policy's messages mean, which policies have that were trained with each other's messages, such as
-    /// those of the roles of a team; `None` for a policy that only understands itself.
+    /// Name of what the policy's messages mean, which policies have that were trained with each other's messages, such
+    /// as those of the roles of a team; `None` for a policy that only understands itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub message_name: Option<String>,
     /// SHA-256 of all tensors' bytes, in the order of the tensors' names, in hexadecimal.

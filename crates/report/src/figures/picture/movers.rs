@@ -23,8 +23,8 @@ pub fn standing(view: &View, stage: &Backdrop, time: Span, rest: &str) -> Vec<St
     stage.arena.movers.iter().map(|mover| view.solid("wall", &mover.block(time).solid(), rest)).collect()
 }
 
-/// Returns for each moving obstacle the offset \[m\], world frame, from its place at the start of the episode to that at
-/// this time.
+/// Returns for each moving obstacle the offset \[m\], world frame, from its place at the start of the episode to that
+/// at this time.
 pub fn offsets(stage: &Backdrop, time: Span) -> Vec<Vec2> {
     let offset = |mover: &Mover| mover.motion(time).position - mover.motion(Span::ZERO).position;
     stage.arena.movers.iter().map(offset).collect()
