@@ -1,4 +1,4 @@
-"""Judges a policy file, or a file of roles, for a task against a scripted one on layouts that nobody has chosen: seeds from the file's SHA-256.
+"""Judges a policy file, or a file of roles, for a task against a scripted one, on layouts of seeds from the file's SHA-256.
 
 Each layout is a run of one episode, so that both policies have the same starts and goals. The conditions are those of
 `onboard-adhoc` with a lag of 0.5 s, 20 ms, a loss of 16 % and the safety filter.
