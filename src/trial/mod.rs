@@ -16,6 +16,7 @@
 
 mod budget;
 mod error;
+mod obstacles;
 mod senses;
 
 use std::sync::Arc;
@@ -27,7 +28,6 @@ use crate::estimation;
 use crate::faults::FaultPlan;
 use crate::hearing::CommRange;
 use crate::hearing::Handling;
-use crate::messages::geometry::Vec2;
 use crate::messages::ids::RobotId;
 use crate::messages::wire::{Marks, Stop};
 use crate::observation::{Bound, ChannelError, Dynamics};
@@ -289,25 +289,6 @@ impl Trial {
         }
         self.faults.check(&deployment.targets())?;
         self.faults.check_episodes(self.layouts.len())
-    }
-
-    /// Checks that the plant can take the obstacles that are drawn for each episode, and those that move. An error
-    /// names the field.
-    fn check_obstacles(&self, entry: &world::Entry) -> Result<(), ConfigError> {
-        let (fixed, drawn) = (self.scenario.arena(), self.layouts.arena(0));
-        if self.layouts.is_empty() || drawn.is_none() && fixed.movers.is_empty() {
-            return Ok(());
-        }
-        let starts: Vec<Vec2> = self.layouts.episode(0).iter().map(|task| task.start).collect();
-        let mut plant = (entry.build)(fixed, &self.physics, &starts, Seed::of_run(0));
-        let why = if !fixed.movers.is_empty() && !plant.elapse(None) {
-            format!("'{}' has no moving obstacles, and this task has some", entry.name)
-        } else if drawn.is_some_and(|arena| !plant.enter(arena)) {
-            format!("'{}' has one arena for all episodes, and this task draws obstacles for each", entry.name)
-        } else {
-            return Ok(());
-        };
-        Err(ConfigError::field("plant", why))
     }
 
     /// Checks that a robot has the drive and the channels that its policy needs. An error names the field.

@@ -47,7 +47,8 @@ fn a_trained_policy_brings_the_default_team_of_its_task_through_it() {
 #[test]
 fn carriers_come_to_goals_that_scouts_alone_see_and_without_their_messages_do_not() {
     let text = String::from_utf8(read("examples/tasks/scouts.toml")).expect("a task file is text");
-    let scenario = TaskFile::read(&text).and_then(|task| task.scenario(&Settings::default())).expect("it is sound");
+    let task = TaskFile::read(&text).expect("it is sound");
+    let scenario = task.scenario(&Settings::default()).expect("its default team is sound");
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/scouts");
     let text = String::from_utf8(read("policies/scouts/roles.toml")).expect("it is text");
     let roles = roles_of(&Registry::builtin(), &text, &folder).expect("they are sound");
