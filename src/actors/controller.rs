@@ -507,15 +507,8 @@ mod tests {
         };
         let mut cache = Cache::new(config, Seed::of_run(0).stream("cache"));
         let (safety, half_extent, clamp) = (Safety::deployed(), Vec2::new(2.0, 3.0), Clamp::Training);
-        let guard = filter::Settings {
-            safety,
-            half_extent,
-            walls: Arc::default(),
-            movers: Arc::default(),
-            limit_m_s: 1.5,
-            clamp,
-            period,
-        };
+        let (walls, movers) = (Arc::default(), Arc::default());
+        let guard = filter::Settings { safety, half_extent, walls, movers, limit_m_s: 1.5, clamp, period };
         let mut controller = Controller::new(Config {
             robot,
             guard,

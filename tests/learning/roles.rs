@@ -81,7 +81,7 @@ fn files_of_one_training_go_together_and_with_those_of_no_other() {
     let [files, others] = [one.policy_files(), other.policy_files()];
     assert!(models(&files[0], &files[1]).is_ok());
     for (carrier, scout) in [(&files[0], &others[1]), (&files[0], &before[1])] {
-        let why = models(carrier, scout).err().expect("they have not heard each other");
+        let why = models(carrier, scout).expect_err("they have not heard each other");
         assert!(why.contains("the name 'roles of one training, "), "{why}");
     }
     assert_ne!(files[0], before[0], "the carrier learns");

@@ -11,6 +11,7 @@ use super::layer::{Back, add, resize};
 use super::{Network, Shape, Space};
 use crate::batch::Batch;
 use crate::matrix::Real;
+use murmurate::policy::hops::file::Tensors;
 use murmurate::policy::mlp::Instructions;
 
 /// Networks of a team, one for each role, or one for all robots. Their parameters are one flat vector, one network
@@ -135,7 +136,7 @@ impl TeamNetwork {
 
     /// Returns the weights and biases of each layer of each part of each network in `parameters`, as policy files store
     /// them.
-    pub fn tensors(&self, parameters: &[f32]) -> Vec<Vec<Vec<(Vec<f32>, Vec<f32>)>>> {
+    pub fn tensors(&self, parameters: &[f32]) -> Vec<Tensors> {
         let networks = self.of_roles.iter().enumerate();
         networks.map(|(role, network)| network.tensors(&parameters[self.place(role)])).collect()
     }
@@ -253,7 +254,9 @@ impl<T: Real> RoleSpace<T> {
         places.clear();
         places.resize(batch.role.len(), u32::MAX);
         rows.iter().zip(0..).for_each(|(source, row)| places[*source as usize] = row);
-        (first.clear(), sender.clear(), features.clear());
+        first.clear();
+        sender.clear();
+        features.clear();
         first.push(0);
         let edge_inputs = batch.e.len() / batch.sender.len().max(1);
         for node in &own[..*nodes] {
