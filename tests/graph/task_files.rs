@@ -201,7 +201,7 @@ fn moving_obstacles_that_cannot_be_are_refused_by_their_fields() {
         (on("[[-1, 0], [1, 0]]", ", phase = 0.5, each_episode = true"), "movers[0].phase: each_episode draws it"),
         (on("[[-1, 0], [1, 0]]", ", phase = 2"), "movers[0].phase: 2 is not"),
         (on("[[-1, 0], [1, 0]]", ", colour = 1"), "movers[0].colour: unknown field"),
-        (on("[[0, -2.7], [0, -0.7]]", "").replace("1.0] }\ngoal", "0.7] }\ngoal"), "start: it has room for 0 robots"),
+        (on("[[0, -2.7], [0, -0.7]]", "").replace("1.0] }\ngoal", "0.4] }\ngoal"), "start: it has room for 0 robots"),
         (format!("{}{}", on("[[-1, 0], [1, 0]]", ""), wall), "movers[0].path: the obstacle runs into walls[0]"),
         (
             format!(
