@@ -23,9 +23,7 @@ struct Rows {
 fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let robots = TeamSizes::new(2, 12).even().check(ROWS.name, settings.robots.unwrap_or(6))?;
     let half_extent = Vec2::new(2.0 + robots as f32 / 2.0, 3.0);
-    let arena =
-        Arena { half_extent, keep_outs: Vec::new(), portals: Vec::new(), movers: Vec::new(), robot_radius_m: 0.25 };
-    Ok(Arc::new(Rows { robots, arena }))
+    Ok(Arc::new(Rows { robots, arena: Arena::new(half_extent, Vec::new(), 0.25) }))
 }
 
 impl Scenario for Rows {

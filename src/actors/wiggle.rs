@@ -380,14 +380,7 @@ mod tests {
                 clamp: Clamp::Training,
                 period: PERIOD,
             };
-            let keep_outs = Vec::new();
-            let arena = Arena {
-                half_extent: guard.half_extent,
-                keep_outs,
-                portals: Vec::new(),
-                movers: Vec::new(),
-                robot_radius_m: 0.25,
-            };
+            let arena = Arena::new(guard.half_extent, Vec::new(), 0.25);
             let driven = |robot| Driven { robot: RobotId(robot), chassis: Chassis::default(), limit_m_s: 1.0 };
             let robots = vec![driven(0), driven(1)];
             let config = Config { robots, guard, arena, valid_for: Span::from_millis(200) };

@@ -141,9 +141,7 @@ mod tests {
 
     /// Claims of robots on a line that hear each other for two steps, at goals on another line.
     fn claims(places: [f32; 3], goals: [f32; 3]) -> [Option<usize>; 3] {
-        let half_extent = Vec2::repeat(20.0);
-        let arena =
-            Arena { half_extent, keep_outs: Vec::new(), portals: Vec::new(), movers: Vec::new(), robot_radius_m: 0.25 };
+        let arena = Arena::new(Vec2::repeat(20.0), Vec::new(), 0.25);
         let mut team = [0, 1, 2].map(|robot| Claim::new(&arena, RobotId(robot)));
         let motion = |robot: usize| Motion::at_rest(Vec2::new(places[robot], 0.0));
         let values = |robot: usize| goals.iter().flat_map(|x| [x - places[robot], 3.0]).collect::<Vec<f32>>();
@@ -171,9 +169,7 @@ mod tests {
 
     #[test]
     fn what_no_robot_can_have_said_is_ignored() {
-        let half_extent = Vec2::repeat(20.0);
-        let arena =
-            Arena { half_extent, keep_outs: Vec::new(), portals: Vec::new(), movers: Vec::new(), robot_radius_m: 0.25 };
+        let arena = Arena::new(Vec2::repeat(20.0), Vec::new(), 0.25);
         let mut claim = Claim::new(&arena, RobotId(1));
         let motion = Motion::at_rest(Vec2::zeros());
         for number in [1.0, -1.0, 3.0, 0.5, f32::NAN, f32::INFINITY] {

@@ -154,14 +154,7 @@ mod tests {
 
     fn arena(half: f32, blocks: &[[f32; 4]]) -> Arena {
         let block = |&[x, y, far_x, far_y]: &[f32; 4]| KeepOut::rect(Vec2::new(x, y), Vec2::new(far_x, far_y));
-        let keep_outs = blocks.iter().map(block).collect();
-        Arena {
-            half_extent: Vec2::repeat(half),
-            keep_outs,
-            portals: Vec::new(),
-            movers: Vec::new(),
-            robot_radius_m: 0.25,
-        }
+        Arena::new(Vec2::repeat(half), blocks.iter().map(block).collect(), 0.25)
     }
 
     fn two_walls() -> Arena {

@@ -38,6 +38,12 @@ pub struct Arena {
 }
 
 impl Arena {
+    /// Returns an arena with these blocks, and without bottlenecks and moving obstacles. The half extent and the radius
+    /// that is kept free about each robot's centre are \[m\].
+    pub fn new(half_extent: Vec2, keep_outs: Vec<KeepOut>, robot_radius_m: f32) -> Arena {
+        Arena { half_extent, keep_outs, portals: Vec::new(), movers: Vec::new(), robot_radius_m }
+    }
+
     /// Returns the arena at an instant, in which the moving obstacles stand among the blocks. `elapsed` is the time
     /// since the episode runs; while none runs, it is `None`, and there are no moving obstacles.
     pub fn at(&self, elapsed: Option<Span>) -> Cow<'_, Arena> {
@@ -89,8 +95,7 @@ mod tests {
 
     #[test]
     fn the_hull_of_the_published_robots_is_that_of_the_paper() {
-        let (keep_outs, portals, movers) = (vec![], vec![], vec![]);
-        let arena = Arena { half_extent: Vec2::zeros(), keep_outs, portals, movers, robot_radius_m: 0.25 };
+        let arena = Arena::new(Vec2::zeros(), Vec::new(), 0.25);
         assert_eq!(arena.hull_m(), crate::scenario::size::HULL_M);
     }
 }

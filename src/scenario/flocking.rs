@@ -66,13 +66,7 @@ pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let size = Size::of("flocking", settings)?;
     size.check_places(("flocking", "robots at least"), settings, SPACING_M)?;
     let disc_m = size.length(disc(robots));
-    let arena = Arena {
-        half_extent: Vec2::repeat(disc_m + ROOM_M),
-        keep_outs: Vec::new(),
-        portals: Vec::new(),
-        movers: Vec::new(),
-        robot_radius_m: size.robot_radius_m(),
-    };
+    let arena = Arena::new(Vec2::repeat(disc_m + ROOM_M), Vec::new(), size.robot_radius_m());
     Ok(Arc::new(Flocking { robots, disc_m, size, arena }))
 }
 

@@ -109,13 +109,8 @@ impl Passage {
         let right = KeepOut::rect(Vec2::new(half, -wall_half), Vec2::new(half_extent.x, wall_half));
         let left = KeepOut::rect(-right.max, -right.min);
         let mouth = Vec2::new(0.0, wall_half + 2.0 * radius);
-        let arena = Arena {
-            half_extent,
-            keep_outs: vec![right, left],
-            portals: vec![Portal { near: -mouth, far: mouth }],
-            movers: Vec::new(),
-            robot_radius_m: radius,
-        };
+        let portals = vec![Portal { near: -mouth, far: mouth }];
+        let arena = Arena { portals, ..Arena::new(half_extent, vec![right, left], radius) };
         let lane_half_m = (half - radius - size.length(LANE_M)).max(0.0);
         Passage { robots, size, mouth_m: wall_half + radius + size.length(ROOM_M), lane_half_m, arena }
     }

@@ -54,13 +54,8 @@ pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let pitch_m = size.length(PITCH_M);
     let pitch = Vec2::new(pitch_m, pitch_m * robots as f32 / (per_row * rows) as f32);
     size.check_places(("swap", "places"), settings, (1.0 - 2.0 * JITTER) * pitch.y / size.scale)?;
-    let arena = Arena {
-        half_extent: Vec2::new(per_row as f32 * pitch.x, rows as f32 * pitch.y) / 2.0,
-        keep_outs: Vec::new(),
-        portals: Vec::new(),
-        movers: Vec::new(),
-        robot_radius_m: size.robot_radius_m(),
-    };
+    let half_extent = Vec2::new(per_row as f32 * pitch.x, rows as f32 * pitch.y) / 2.0;
+    let arena = Arena::new(half_extent, Vec::new(), size.robot_radius_m());
     Ok(Arc::new(Swap { robots, per_row, pitch, size, arena }))
 }
 

@@ -33,13 +33,7 @@ pub fn check(entry: &Entry) -> Result<(), String> {
         if let Some(why) = parts.layout.unfit() {
             return Err(why);
         }
-        let arena = Arena {
-            half_extent: Vec2::new(3.0, 3.0),
-            keep_outs: Vec::new(),
-            portals: Vec::new(),
-            movers: Vec::new(),
-            robot_radius_m: 0.25,
-        };
+        let arena = Arena::new(Vec2::new(3.0, 3.0), Vec::new(), 0.25);
         let stream = Seed::of_run(1).stream("sense");
         let mut sense = (parts.sense)(Site { robot: RobotId(1), arena: &arena, stream });
         let out = fed(&mut *sense)?;

@@ -260,13 +260,7 @@ mod tests {
 
     fn arena() -> Arena {
         let wall = KeepOut::rect(Vec2::new(-1.0, 1.0), Vec2::new(1.0, 1.2));
-        Arena {
-            half_extent: Vec2::new(3.0, 3.0),
-            keep_outs: vec![wall],
-            portals: Vec::new(),
-            movers: Vec::new(),
-            robot_radius_m: 0.25,
-        }
+        Arena::new(Vec2::new(3.0, 3.0), vec![wall], 0.25)
     }
 
     /// Makes a lidar of robot 0 with four rays: behind, to the right, ahead, to the left.

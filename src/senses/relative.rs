@@ -208,9 +208,7 @@ mod tests {
     fn sense(more: &str) -> Box<dyn Sense> {
         let parts = make(&settings(&format!("most = 3\nrange_m = 4.0\n{more}")), RobotId(0)).expect("it is valid");
         let wall = KeepOut::rect(Vec2::new(-2.0, -1.0), Vec2::new(-1.0, 1.0));
-        let half_extent = Vec2::new(9.0, 9.0);
-        let arena =
-            Arena { half_extent, keep_outs: vec![wall], portals: Vec::new(), movers: Vec::new(), robot_radius_m: 0.25 };
+        let arena = Arena::new(Vec2::new(9.0, 9.0), vec![wall], 0.25);
         (parts.sense)(Site { robot: RobotId(0), arena: &arena, stream: Seed::of_run(1).stream("sense") })
     }
 

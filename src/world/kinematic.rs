@@ -317,13 +317,7 @@ mod tests {
 
     fn arena() -> Arena {
         let wall = KeepOut::rect(Vec2::new(-2.0, 0.5), Vec2::new(2.0, 0.8));
-        Arena {
-            half_extent: Vec2::new(2.0, 3.0),
-            keep_outs: vec![wall],
-            portals: Vec::new(),
-            movers: Vec::new(),
-            robot_radius_m: 0.25,
-        }
+        Arena::new(Vec2::new(2.0, 3.0), vec![wall], 0.25)
     }
 
     #[test]

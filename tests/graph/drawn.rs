@@ -94,8 +94,8 @@ fn a_lidar_sees_the_obstacles_of_the_episode() {
     assert!(near > 50 && wrong == 0, "{wrong} of {near}");
 }
 
-/// Plant whose arena cannot change.
-struct Fixed(Box<dyn Plant>);
+/// Plant whose arena cannot change, and in which nothing but robots moves.
+pub struct Fixed(pub Box<dyn Plant>);
 
 impl Plant for Fixed {
     fn period(&self) -> Span {

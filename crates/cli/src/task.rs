@@ -269,13 +269,7 @@ mod tests {
     #[test]
     fn a_closed_room_is_named_with_its_place_and_an_open_one_is_not() {
         let wall = |min: [f32; 2], max: [f32; 2]| KeepOut::rect(min.into(), max.into());
-        let arena = |walls: Vec<KeepOut>| Arena {
-            half_extent: Vec2::repeat(2.0),
-            keep_outs: walls,
-            portals: Vec::new(),
-            movers: Vec::new(),
-            robot_radius_m: 0.25,
-        };
+        let arena = |walls: Vec<KeepOut>| Arena::new(Vec2::repeat(2.0), walls, 0.25);
         assert!(closed_rooms(&arena(Vec::new())).is_empty());
         let found = closed_rooms(&arena(vec![wall([-2.0, 0.9], [2.0, 1.1])]));
         assert!(found.len() == 1 && found[0].contains("around [0.00, 1.6"), "{found:?}");

@@ -69,8 +69,7 @@ impl Basics {
 impl Fitted {
     /// Returns the ground without blocks, of half this size \[m\].
     pub fn arena(&self, half_extent: Vec2) -> Arena {
-        let (keep_outs, portals) = (Vec::new(), Vec::new());
-        Arena { half_extent, keep_outs, portals, movers: Vec::new(), robot_radius_m: self.robot_radius_m }
+        Arena::new(half_extent, Vec::new(), self.robot_radius_m)
     }
 
     /// Returns the rules of an episode: it ends by time, and robots must not collide.

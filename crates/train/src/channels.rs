@@ -15,8 +15,7 @@ use murmurate::scenario::{Arena, Scenario};
 use murmurate::senses::{Scanner, Settings};
 use murmurate::time::Span;
 
-/// What the robots of a role perceive: the entries of their observation, and the channels among them, joined with those
-/// of scenarios.
+/// Observation of the robots of a role: its entries, and the channels among them, joined with those of scenarios.
 #[derive(Clone, Debug)]
 pub struct Perception {
     /// Entries of an observation.

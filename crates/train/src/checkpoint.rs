@@ -125,8 +125,7 @@ impl Trainer {
             }
             (*ours, *our_adam) = (parameters, adam);
         }
-        trainer.stage = state.stage;
-        trainer.chunks = trainer.make_chunks()?;
+        trainer.enter_stage(state.stage)?;
         if state.chunks.len() != trainer.chunks.len() {
             return Err(broken("environments"));
         }

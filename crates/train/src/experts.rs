@@ -31,7 +31,10 @@ pub struct Expert {
 impl Expert {
     /// Makes the expert `name` of the registry for `scenario`. An error says why it is none.
     pub fn new(registry: &Registry, name: &str, scenario: &Arc<dyn Scenario>) -> Result<Expert, String> {
-        let entry = registry.policy(name).ok_or_else(|| "there is no policy of this name".to_owned())?;
+        let entry = registry.policy(name).ok_or_else(|| {
+            let known: Vec<&str> = registry.policies().iter().map(|entry| entry.name).collect();
+            format!("there is no policy of this name; there are: {}", known.join(", "))
+        })?;
         let model = (entry.build)(&**scenario).map_err(|error| error.to_string())?;
         if model.instance(scenario.arena(), RobotId(0)).hops() > 1 {
             return Err("a policy of several hops is no expert".to_owned());

@@ -104,7 +104,10 @@ impl Imitated {
         for weight in self.weight {
             in_range("expert.weight", f64::from(weight), (0.0, 1000.0))?;
         }
-        in_range("expert.until", self.until, (1e-6, 1.0))
+        match self.until > 0.0 && self.until <= 1.0 {
+            true => Ok(()),
+            false => Err(ConfigError::field("expert.until", format!("{} is not above 0 and at most 1", self.until))),
+        }
     }
 }
 

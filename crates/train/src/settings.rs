@@ -30,12 +30,12 @@ pub struct RolloutSettings<'a> {
     /// Upper limit of the actions' log standard deviation.
     pub log_std_max: f32,
     /// Policy that is imitated besides; `None` for rewards alone.
-    pub expert: Option<Taught<'a>>,
+    pub expert: Option<WeightedExperts<'a>>,
 }
 
-/// What a rollout takes of an expert.
+/// Experts whose velocities are recorded in a rollout, with the weight of the difference from them.
 #[derive(Clone, Copy, Debug)]
-pub struct Taught<'a> {
+pub struct WeightedExperts<'a> {
     /// Expert for each team size that occurs, indexed by it.
     pub experts: &'a [Option<Expert>],
     /// Weight in the policy's loss of the squared difference from the expert's velocity \[s²/m²\], above 0.

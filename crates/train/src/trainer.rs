@@ -17,7 +17,7 @@ use super::record::EpisodeTotals;
 use super::reward::has_reward;
 use super::roles::message_name;
 use super::rollout::{CHUNK, Chunk, RolloutSettings};
-use super::settings::Taught;
+use super::settings::WeightedExperts;
 use super::update::{Outcome, Workspace, update};
 use murmurate::policy::file::AnyManifest;
 use murmurate::policy::manifest::Training;
@@ -150,49 +150,48 @@ impl Trainer {
             experts: Vec::new(),
             workspace: Workspace::default(),
         };
-        trainer.experts = trainer.make_experts()?;
         // Sets up every stage now, so that an error of a late stage does not appear after hours of training.
         for stage in (0..trainer.plan.config.curriculum.len()).rev() {
-            trainer.stage = stage;
-            trainer.chunks = trainer.make_chunks()?;
+            trainer.enter_stage(stage)?;
         }
         trainer.start_chunks();
         Ok(trainer)
     }
 
-    /// Makes the environments of the current stage of the curriculum; their episodes are not started. Fails if the team
-    /// sizes of the stage (`groups`) do not add up to the scenario's team, or if the scenario refuses one of them.
-    pub(super) fn make_chunks(&self) -> Result<Vec<Chunk>, SetupError> {
-        let stage = &self.plan.config.curriculum[self.stage];
+    /// Enters a stage of the curriculum, with environments whose episodes are not started and the experts of their
+    /// teams. Fails if the team sizes of the stage (`groups`) do not add up to the scenario's team, or if the scenario
+    /// refuses one of them.
+    pub(super) fn enter_stage(&mut self, stage: usize) -> Result<(), SetupError> {
+        self.stage = stage;
+        let stage = &self.plan.config.curriculum[stage];
         let (found, robots) = (stage.groups[0].iter().sum(), self.scenario.robots());
         if found != robots {
             return Err(SetupError::Groups { found, robots });
         }
-        let mut sizes = stage.groups.concat();
-        sizes.sort_unstable();
-        sizes.dedup();
+        let sizes: BTreeSet<usize> = stage.groups.concat().into_iter().collect();
         let settings = |robots| self.plan.config.settings(Some(robots), stage.gap_m);
         let build = |robots| self.registry.scenario(&self.plan.scenario, &settings(robots));
         let scenarios = sizes.into_iter().map(build).collect::<Result<Vec<_>, _>>()?;
+        let experts = self.make_experts(&scenarios)?;
         let rows = self.plan.config.ppo.environments;
         let (settings, perceptions) = (self.settings(), self.plan.config.perceptions(&scenarios)?);
         let chunk = |first: usize| {
             Chunk::new(CHUNK.min(rows - first), &stage.groups, (&scenarios, perceptions.clone()), &settings)
         };
-        Ok((0..rows).step_by(CHUNK).map(chunk).collect())
+        let chunks = (0..rows).step_by(CHUNK).map(chunk).collect();
+        (self.chunks, self.experts) = (chunks, experts);
+        Ok(())
     }
 
-    /// Makes the expert for each team size of all stages, indexed by it; none if the configuration has none.
-    fn make_experts(&self) -> Result<Vec<Option<Expert>>, SetupError> {
-        let Config { expert: Some(expert), curriculum, .. } = &self.plan.config else { return Ok(Vec::new()) };
+    /// Makes the expert for each of these scenarios, which have teams of different sizes, indexed by the size; none if
+    /// the configuration has none.
+    fn make_experts(&self, scenarios: &[Arc<dyn Scenario>]) -> Result<Vec<Option<Expert>>, SetupError> {
+        let Some(expert) = &self.plan.config.expert else { return Ok(Vec::new()) };
         let wrong = |why: String| SetupError::Expert { name: expert.policy.clone(), why };
-        let sizes: BTreeSet<usize> = curriculum.iter().flat_map(|stage| stage.groups.concat()).collect();
         let mut experts: Vec<Option<Expert>> = Vec::new();
-        experts.resize_with(sizes.last().map_or(0, |largest| largest + 1), || None);
-        for robots in sizes {
-            let settings = self.plan.config.settings(Some(robots), None);
-            let scenario = self.registry.scenario(&self.plan.scenario, &settings)?;
-            experts[robots] = Some(Expert::new(&self.registry, &expert.policy, &scenario).map_err(wrong)?);
+        for scenario in scenarios {
+            experts.resize_with(experts.len().max(scenario.robots() + 1), || None);
+            experts[scenario.robots()] = Some(Expert::new(&self.registry, &expert.policy, scenario).map_err(wrong)?);
         }
         Ok(experts)
     }
@@ -219,14 +218,14 @@ impl Trainer {
             reward: config.reward.with_penalties(config.curriculum[self.stage].penalties),
             repeat: config.curriculum[self.stage].repeat,
             log_std_max: interpolate(config.ppo.log_std_max, self.progress),
-            expert: self.taught(),
+            expert: self.weighted_experts(),
         }
     }
 
-    /// Returns what a rollout takes of the expert at the current progress; `None` once it has no weight.
-    fn taught(&self) -> Option<Taught<'_>> {
+    /// Returns the experts with their weight at the current progress; `None` without one, or once it has no weight.
+    fn weighted_experts(&self) -> Option<WeightedExperts<'_>> {
         let weight = self.plan.config.expert.as_ref()?.weight(self.progress);
-        (weight > 0.0).then_some(Taught { experts: &self.experts, weight })
+        (weight > 0.0).then_some(WeightedExperts { experts: &self.experts, weight })
     }
 
     /// Performs one iteration, a rollout and an update, on up to `threads` threads. `progress` is the completed
@@ -238,8 +237,7 @@ impl Trainer {
         self.progress = progress.clamp(0.0, 1.0);
         let stage = self.plan.config.stage(self.progress);
         if stage != self.stage {
-            self.stage = stage;
-            self.chunks = self.make_chunks().expect("every stage was made once at the start");
+            self.enter_stage(stage).expect("every stage was made once at the start");
             self.start_chunks();
         }
         let mut chunks = std::mem::take(&mut self.chunks);

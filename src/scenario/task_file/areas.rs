@@ -174,13 +174,7 @@ mod tests {
     use crate::random::Seed;
 
     fn open(half: f32) -> Arena {
-        Arena {
-            half_extent: Vec2::repeat(half),
-            keep_outs: vec![],
-            portals: vec![],
-            movers: vec![],
-            robot_radius_m: 0.25,
-        }
+        Arena::new(Vec2::repeat(half), Vec::new(), 0.25)
     }
 
     #[test]

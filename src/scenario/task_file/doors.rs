@@ -188,14 +188,7 @@ mod tests {
 
     fn arena(half: f32, blocks: &[[f32; 4]]) -> Arena {
         let block = |&[x, y, far_x, far_y]: &[f32; 4]| KeepOut::rect(Vec2::new(x, y), Vec2::new(far_x, far_y));
-        let keep_outs = blocks.iter().map(block).collect();
-        Arena {
-            half_extent: Vec2::repeat(half),
-            keep_outs,
-            portals: Vec::new(),
-            movers: Vec::new(),
-            robot_radius_m: 0.25,
-        }
+        Arena::new(Vec2::repeat(half), blocks.iter().map(block).collect(), 0.25)
     }
 
     #[test]
@@ -214,8 +207,7 @@ mod tests {
     #[test]
     fn doors_between_discs_and_askew_walls_are_found() {
         let disc = |x: f32, y: f32| KeepOut::disc(Vec2::new(x, y), 0.5);
-        let (half_extent, robot_radius_m) = (Vec2::repeat(4.0), 0.25);
-        let of = |keep_outs| Arena { half_extent, keep_outs, portals: Vec::new(), movers: Vec::new(), robot_radius_m };
+        let of = |keep_outs| Arena::new(Vec2::repeat(4.0), keep_outs, 0.25);
         let found = portals(&of(vec![disc(-0.9, 0.0), disc(0.9, 0.0)]));
         let [Portal { near, far }] = found[..] else { panic!("{found:?}") };
         assert!(near.x.abs() < 1e-4 && far.x.abs() < 1e-4 && near.y * far.y < 0.0, "{found:?}");

@@ -210,7 +210,7 @@ impl TaskFile {
             return Err(ConfigError::field(field, why));
         }
         let movers = self.fields.movers.iter().map(|mover| mover.mover(size.scale)).collect();
-        let mut arena = Arena { half_extent, keep_outs, portals: Vec::new(), movers, robot_radius_m };
+        let mut arena = Arena { movers, ..Arena::new(half_extent, keep_outs, robot_radius_m) };
         movers::check_ways(&arena, &self.fields.walls, size.scale)?;
         let given: Vec<Vec2> = self.points().into_iter().map(|point| point * size.scale).collect();
         for (at, obstacles) in self.drawn(false) {

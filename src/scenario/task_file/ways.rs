@@ -125,13 +125,7 @@ mod tests {
     #[test]
     fn every_length_is_at_least_a_straight_line_and_a_closed_room_is_far() {
         let wall = KeepOut::rect(Vec2::new(-2.0, -0.1), Vec2::new(2.0, 0.1));
-        let closed = Arena {
-            half_extent: Vec2::repeat(2.0),
-            keep_outs: vec![wall],
-            portals: vec![],
-            movers: vec![],
-            robot_radius_m: 0.25,
-        };
+        let closed = Arena::new(Vec2::repeat(2.0), vec![wall], 0.25);
         let (from, to) = (Vec2::new(0.0, -1.0), Vec2::new(0.0, 1.0));
         assert!(Ways::new(&closed).length_m(from, to) > 10.0);
         let open = Arena { keep_outs: Vec::new(), ..closed };

@@ -27,10 +27,7 @@ fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     if let Some(gap_m) = settings.gap_m {
         return Err(ScenarioError::Gap { scenario: ROUND.name.to_owned(), gap_m, hint: "; it has no walls" });
     }
-    let half_extent = Vec2::new(2.5, 2.5);
-    let arena =
-        Arena { half_extent, keep_outs: Vec::new(), portals: Vec::new(), movers: Vec::new(), robot_radius_m: 0.25 };
-    Ok(Arc::new(Round { robots, arena }))
+    Ok(Arc::new(Round { robots, arena: Arena::new(Vec2::new(2.5, 2.5), Vec::new(), 0.25) }))
 }
 
 impl Round {

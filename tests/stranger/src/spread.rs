@@ -38,8 +38,7 @@ fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
 
 /// Returns the ground, whose edge no particle reaches in an episode.
 pub fn arena() -> Arena {
-    let half_extent = Vec2::new(20.0, 20.0);
-    Arena { half_extent, keep_outs: Vec::new(), portals: Vec::new(), movers: Vec::new(), robot_radius_m: HARD_M }
+    Arena::new(Vec2::new(20.0, 20.0), Vec::new(), HARD_M)
 }
 
 /// Returns minus the sum of the rewards of all robots for one step. Each has half of minus its contacts, and half of

@@ -122,9 +122,7 @@ mod tests {
     #[test]
     fn a_robot_alone_migrates_and_before_an_obstacle_it_brakes_and_turns() {
         let disc = KeepOut::disc(Vec2::new(1.0, 0.1), 0.4);
-        let (half_extent, robot_radius_m) = (Vec2::from(FIELD.half_extent_m), 0.25);
-        let arena =
-            Arena { half_extent, keep_outs: vec![disc], portals: Vec::new(), movers: Vec::new(), robot_radius_m };
+        let arena = Arena::new(Vec2::from(FIELD.half_extent_m), vec![disc], 0.25);
         let interface =
             Interface { features: 0, radius_m: 2.0, period: PERIOD, limit_m_s: 1.5, hold: Span::from_millis(200) };
         let mut policy = FlockField { size: &FIELD, interface, arena };
