@@ -436,6 +436,7 @@ impl Record {
             hull_m: 0.2,
             range_m: None,
             drawn: Vec::new(),
+            movers: Vec::new(),
             waypoints: Vec::new(),
             senses: Vec::new(),
         };

@@ -72,6 +72,19 @@ impl Solid {
         }
     }
 
+    /// Returns the shape, moved by an offset \[m\].
+    pub fn moved(&self, [x, y]: [f32; 2]) -> Solid {
+        match self {
+            Solid::Rect([near_x, near_y, far_x, far_y]) => Solid::Rect([near_x + x, near_y + y, far_x + x, far_y + y]),
+            Solid::Disc { disc: [middle_x, middle_y, radius_m] } => {
+                Solid::Disc { disc: [middle_x + x, middle_y + y, *radius_m] }
+            }
+            Solid::Polygon { polygon } => {
+                Solid::Polygon { polygon: polygon.iter().map(|at| [at[0] + x, at[1] + y]).collect() }
+            }
+        }
+    }
+
     /// Returns the triangles of the sides and the top of a prism over the shape: three corners of each \[m\].
     pub fn prism(&self, height_m: f32) -> Vec<[f32; 3]> {
         let rim = self.rim();

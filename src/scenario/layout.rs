@@ -8,7 +8,7 @@ use std::sync::Arc;
 use serde::Deserialize;
 
 use super::course::Course;
-use super::{Arena, KeepOut, Scenario, Solid};
+use super::{Arena, DrawnMover, KeepOut, Scenario, Solid};
 use crate::config;
 use crate::config::shown::counted;
 use crate::messages::geometry::{Planar, Task, Vec2, is_finite};
@@ -176,6 +176,11 @@ impl Layouts {
     /// Returns the shapes of the solid blocks of each episode. Empty if all episodes have the arena of the scenario.
     pub fn drawn_blocks(&self) -> Vec<Vec<Solid>> {
         self.arenas.iter().map(|arena| arena.keep_outs.iter().map(KeepOut::solid).collect()).collect()
+    }
+
+    /// Returns the obstacles that move in the scenario with the arena `arena`, with where they begin in each episode.
+    pub fn movers(&self, arena: &Arena) -> Vec<DrawnMover> {
+        DrawnMover::of_run(&arena.movers, self.arenas.iter().map(|arena| arena.movers.as_slice()))
     }
 
     /// Returns true if every robot's start in an episode is its goal in the previous episode (within 1 mm), so that

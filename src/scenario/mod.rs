@@ -32,7 +32,7 @@ pub use block::{KeepOut, Solid};
 pub use cost::Cost;
 pub use error::ScenarioError;
 pub use goals::Goals;
-pub use mover::Mover;
+pub use mover::{DrawnMover, Mover};
 pub use size::Size;
 pub use task_file::TaskFile;
 pub use weights::Weights;

@@ -5,8 +5,10 @@
 
 use std::sync::Arc;
 
-use super::block::KeepOut;
-use crate::messages::geometry::{Motion, Vec2};
+use serde::{Deserialize, Serialize};
+
+use super::block::{KeepOut, Solid};
+use crate::messages::geometry::{Motion, Planar, Vec2};
 use crate::time::Span;
 
 /// Obstacle that moves along a path, around and around, at a constant speed. It does not turn.
@@ -41,7 +43,7 @@ impl Mover {
     pub fn new(block: KeepOut, path: &[Vec2], closed: bool, speed_m_s: f32, phase: f32) -> Mover {
         let back: Vec<Vec2> = if closed { path[..1].to_vec() } else { path.iter().rev().skip(1).copied().collect() };
         let round = [path, &back].concat();
-        let length_m = round.windows(2).map(|leg| f64::from((leg[1] - leg[0]).norm())).sum();
+        let length_m = length_m(&round);
         assert!(length_m > 0.0, "a path has a length");
         let legs = if closed { round.len() } else { path.len() };
         let ways = round[..legs].windows(2).map(|leg| block.moved(leg[0]).swept(leg[1] - leg[0])).collect();
@@ -57,18 +59,7 @@ impl Mover {
     /// `elapsed` since the episode runs.
     pub fn motion(&self, elapsed: Span) -> Motion {
         let Track { round, length_m, .. } = &*self.track;
-        let gone_m = f64::from(self.phase) * length_m + f64::from(self.speed_m_s) * elapsed.as_secs();
-        let mut left_m = gone_m.rem_euclid(*length_m) as f32;
-        for leg in round.windows(2) {
-            let (way, leg_m) = (leg[1] - leg[0], (leg[1] - leg[0]).norm());
-            if left_m < leg_m {
-                return Motion { position: leg[0] + way * (left_m / leg_m), velocity: way * (self.speed_m_s / leg_m) };
-            }
-            left_m -= leg_m;
-        }
-        // Only rounding leads here: the round is over, and the next one begins.
-        let way = round[1] - round[0];
-        Motion { position: round[0], velocity: way * (self.speed_m_s / way.norm()) }
+        along((round, *length_m), self.speed_m_s, self.phase, elapsed)
     }
 
     /// Returns the block that the mover is at the time `elapsed` since the episode runs, world frame.
@@ -93,6 +84,66 @@ impl Mover {
     /// Returns the points of a whole round \[m\], world frame; the last one is the first.
     pub fn round(&self) -> &[Vec2] {
         &self.track.round
+    }
+}
+
+/// Returns the length of a round \[m\].
+fn length_m(round: &[Vec2]) -> f64 {
+    round.windows(2).map(|leg| f64::from((leg[1] - leg[0]).norm())).sum()
+}
+
+/// Returns position \[m\] and velocity \[m/s\] at the time `elapsed` of a point that goes around a round with its
+/// length \[m\] at `speed_m_s` \[m/s\], and began after the share `phase` of it.
+fn along((round, length_m): (&[Vec2], f64), speed_m_s: f32, phase: f32, elapsed: Span) -> Motion {
+    let gone_m = f64::from(phase) * length_m + f64::from(speed_m_s) * elapsed.as_secs();
+    let mut left_m = gone_m.rem_euclid(length_m) as f32;
+    for leg in round.windows(2) {
+        let (way, leg_m) = (leg[1] - leg[0], (leg[1] - leg[0]).norm());
+        if left_m < leg_m {
+            return Motion { position: leg[0] + way * (left_m / leg_m), velocity: way * (speed_m_s / leg_m) };
+        }
+        left_m -= leg_m;
+    }
+    // Only rounding leads here: the round is over, and the next one begins.
+    let way = round[1] - round[0];
+    Motion { position: round[0], velocity: way * (speed_m_s / way.norm()) }
+}
+
+/// Mover of a run as plain data, for pages and records that show the run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DrawnMover {
+    /// Body, where the point that follows the path is the origin \[m\].
+    pub body: Solid,
+    /// Points of a whole round \[m\], world frame; the last one is the first.
+    pub round: Vec<[f32; 2]>,
+    /// Speed along the path \[m/s\].
+    pub speed_m_s: f32,
+    /// Share of a round after which it begins, 0 to 1, in each episode; a single one is that of all episodes.
+    pub phases: Vec<f32>,
+}
+
+impl DrawnMover {
+    /// Returns the movers of a run. `episodes` has those of each episode; it is empty if all episodes have `movers`.
+    pub fn of_run<'a>(movers: &[Mover], episodes: impl Iterator<Item = &'a [Mover]> + Clone) -> Vec<DrawnMover> {
+        let drawn = |(at, mover): (usize, &Mover)| {
+            let phases: Vec<f32> = episodes.clone().map(|movers| movers[at].phase).collect();
+            DrawnMover {
+                body: mover.track.block.solid(),
+                round: mover.round().iter().map(Planar::to_array).collect(),
+                speed_m_s: mover.speed_m_s,
+                phases: if phases.is_empty() { vec![mover.phase] } else { phases },
+            }
+        };
+        movers.iter().enumerate().map(drawn).collect()
+    }
+
+    /// Returns where the point that follows the path is \[m\], world frame, in the episode with this index, at the time
+    /// `elapsed` since it runs; `None` if the data are not those of a mover, as in a foreign record.
+    pub fn place(&self, episode: u32, elapsed: Span) -> Option<Vec2> {
+        let round: Vec<Vec2> = self.round.iter().copied().map(Vec2::from).collect();
+        let phase = self.phases.get(episode as usize).or(self.phases.last())?;
+        let length_m = length_m(&round);
+        (length_m > 0.0).then(|| along((&round, length_m), self.speed_m_s, *phase, elapsed).position)
     }
 }
 
@@ -138,5 +189,22 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn as_plain_data_it_is_where_the_mover_of_the_episode_is() {
+        let first = cart(&[[0.0, 0.0], [2.0, 0.0], [2.0, 1.0]], true);
+        let episodes = [vec![first.at_phase(0.25)], vec![first.at_phase(0.7)]];
+        let drawn = DrawnMover::of_run(&episodes[0], episodes.iter().map(Vec::as_slice));
+        let text = serde_json::to_string(&drawn).expect("it is JSON");
+        let drawn: Vec<DrawnMover> = serde_json::from_str(&text).expect("it is what was written");
+        for (episode, s) in [(0, 0.0), (0, 3.3), (1, 3.3), (1, 40.0)] {
+            let elapsed = Span::from_secs(s);
+            let place = drawn[0].place(episode, elapsed).expect("it has a path");
+            assert_eq!(place, episodes[episode as usize][0].motion(elapsed).position, "episode {episode}, {s} s");
+        }
+        let fixed = DrawnMover::of_run(&episodes[0], std::iter::empty());
+        assert_eq!(fixed[0].place(7, Span::ZERO), drawn[0].place(0, Span::ZERO), "all episodes have the same");
+        assert_eq!(DrawnMover { round: Vec::new(), ..drawn[0].clone() }.place(0, Span::ZERO), None);
     }
 }

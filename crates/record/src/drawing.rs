@@ -10,9 +10,10 @@ use ::foxglove::messages::{
 
 use super::foxglove::{self, MAP, colour};
 use super::stage::Stage;
-use murmurate::messages::geometry::Vec2;
+use murmurate::messages::geometry::{Planar, Vec2};
 use murmurate::messages::wire::Sensed;
-use murmurate::scenario::Solid;
+use murmurate::scenario::{DrawnMover, Solid};
+use murmurate::time::Span;
 
 /// Pose of a robot in a drawing.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,23 +52,6 @@ fn point(at: Vec2, height_m: f64) -> [f64; 3] {
 /// `goals` \[m\], world frame, in the order of robot ids. `at` is the time of the update \[ns\], since 1970 or the
 /// start of a simulation.
 pub fn walls_and_goals(at: u64, (stage, episode): (&Stage, u32), goals: &[Vec2]) -> [SceneEntity; 2] {
-    let cube = |wall: &Solid| {
-        let Solid::Rect([x, y, far_x, far_y]) = *wall else { return None };
-        let (min, max) = (Vec2::new(x, y), Vec2::new(far_x, far_y));
-        let (middle, size) = ((min + max) * 0.5, max - min);
-        Some(CubePrimitive {
-            pose: foxglove::pose(point(middle, WALL_HEIGHT_M / 2.0), 0.0),
-            size: foxglove::vector(point(size, WALL_HEIGHT_M)),
-            color: Some(GREY),
-        })
-    };
-    let others = stage.walls_in(episode).iter().filter(|wall| !matches!(wall, Solid::Rect(_)));
-    let triangles = others.map(|wall| TriangleListPrimitive {
-        pose: foxglove::pose([0.0; 3], 0.0),
-        points: wall.prism(WALL_HEIGHT_M as f32).into_iter().map(|at| foxglove::point(at.map(f64::from))).collect(),
-        color: Some(GREY),
-        ..TriangleListPrimitive::default()
-    });
     let width = f64::from(stage.hull_m) * 2.0;
     let waypoints = stage.waypoints.get(episode as usize).into_iter().flatten().enumerate();
     let waypoints = waypoints.flat_map(|(robot, places)| places.iter().map(move |place| (robot, *place)));
@@ -80,16 +64,44 @@ pub fn walls_and_goals(at: u64, (stage, episode): (&Stage, u32), goals: &[Vec2])
         disc(point(*goal, 0.005), [width, width, 0.01], Color { a: 0.35, ..colour })
     };
     [
-        SceneEntity {
-            cubes: stage.walls_in(episode).iter().filter_map(cube).collect(),
-            triangles: triangles.collect(),
-            ..foxglove::entity(at, "walls".to_owned())
-        },
+        solids(at, "walls", stage.walls_in(episode)),
         SceneEntity {
             cylinders: goals.iter().enumerate().map(goal).chain(waypoints.map(waypoint)).collect(),
             ..foxglove::entity(at, "goals".to_owned())
         },
     ]
+}
+
+/// Returns the entity of a Foxglove scene update for the obstacles that move in an episode, at the time `elapsed` since
+/// it runs; without shapes if none runs, and `None` if there are no such obstacles. `at` is the time of the update
+/// \[ns\], since 1970 or the start of a simulation.
+pub fn movers(at: u64, (stage, episode): (&Stage, u32), elapsed: Option<Span>) -> Option<SceneEntity> {
+    let place = |mover: &DrawnMover| Some(mover.body.moved(mover.place(episode, elapsed?)?.to_array()));
+    let bodies: Vec<Solid> = stage.movers.iter().filter_map(place).collect();
+    (!stage.movers.is_empty()).then(|| solids(at, "moving obstacles", &bodies))
+}
+
+/// Returns an entity with walls of these shapes.
+fn solids(at: u64, id: &str, walls: &[Solid]) -> SceneEntity {
+    let cube = |wall: &Solid| {
+        let Solid::Rect([x, y, far_x, far_y]) = *wall else { return None };
+        let (min, max) = (Vec2::new(x, y), Vec2::new(far_x, far_y));
+        let (middle, size) = ((min + max) * 0.5, max - min);
+        Some(CubePrimitive {
+            pose: foxglove::pose(point(middle, WALL_HEIGHT_M / 2.0), 0.0),
+            size: foxglove::vector(point(size, WALL_HEIGHT_M)),
+            color: Some(GREY),
+        })
+    };
+    let others = walls.iter().filter(|wall| !matches!(wall, Solid::Rect(_)));
+    let triangles = others.map(|wall| TriangleListPrimitive {
+        pose: foxglove::pose([0.0; 3], 0.0),
+        points: wall.prism(WALL_HEIGHT_M as f32).into_iter().map(|at| foxglove::point(at.map(f64::from))).collect(),
+        color: Some(GREY),
+        ..TriangleListPrimitive::default()
+    });
+    let (cubes, triangles) = (walls.iter().filter_map(cube).collect(), triangles.collect());
+    SceneEntity { cubes, triangles, ..foxglove::entity(at, id.to_owned()) }
 }
 
 /// Returns the entities of a Foxglove scene update for the robots, their headings and ids, and lines between robots in
@@ -232,5 +244,29 @@ pub fn scan(at: u64, sensed: &Sensed, (rays_rad, mount_m): ([f64; 2], [f32; 2]))
         end_angle,
         ranges: sensed.values.0.iter().copied().map(f64::from).collect(),
         intensities: Vec::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use murmurate::trial::Trial;
+
+    #[test]
+    fn moving_obstacles_are_drawn_while_an_episode_runs_and_only_where_there_are_some() {
+        let still = Stage::of(&Trial::preset("sim", "passage").expect("it is a preset"));
+        assert_eq!(movers(0, (&still, 0), Some(Span::ZERO)), None);
+        let cart = DrawnMover {
+            body: Solid::Rect([-0.1, -0.2, 0.1, 0.2]),
+            round: vec![[0.0, 1.0], [2.0, 1.0], [0.0, 1.0]],
+            speed_m_s: 0.5,
+            phases: vec![0.0],
+        };
+        let stage = Stage { movers: vec![cart], ..still };
+        let drawn = |elapsed| movers(0, (&stage, 3), elapsed).expect("there is one").cubes;
+        let [cube] = &drawn(Some(Span::from_secs(3.0)))[..] else { panic!("there is one") };
+        let at = cube.pose.and_then(|pose| pose.position).expect("it has a place");
+        assert_eq!(((at.x * 100.0).round(), (at.y * 100.0).round()), (150.0, 100.0));
+        assert!(drawn(None).is_empty(), "what was drawn before is taken away");
     }
 }

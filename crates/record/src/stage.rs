@@ -9,7 +9,8 @@ use serde::{Deserialize, Serialize};
 use murmurate::deploy::{Deployment, Routes};
 use murmurate::messages::geometry::Planar;
 use murmurate::messages::ids::{HostId, RobotId};
-use murmurate::scenario::{KeepOut, Scenario, Solid};
+use murmurate::scenario::layout::Layouts;
+use murmurate::scenario::{Arena, DrawnMover, KeepOut, Scenario, Solid};
 use murmurate::trial::Trial;
 
 /// Name of the MCAP metadata of a record that contains the [`Stage`].
@@ -38,6 +39,9 @@ pub struct Stage {
     /// Walls and obstacles of each episode, where obstacles are drawn for each; empty where all episodes have `walls`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub drawn: Vec<Vec<Solid>>,
+    /// Obstacles that move while an episode runs; empty if there are none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub movers: Vec<DrawnMover>,
     /// Waypoints of each robot in each episode \[m\], world frame; empty if there are none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub waypoints: Vec<Vec<Vec<[f32; 2]>>>,
@@ -78,8 +82,8 @@ impl Stage {
             mount_m: layout.sweep.map_or([0.0; 2], |sweep| sweep.mount_m),
         });
         let stage = Stage::of_team((&trial.deployment, &*trial.scenario), trial.physics.wall_radius_m, range_m);
-        let (drawn, waypoints) = (trial.layouts.drawn_blocks(), trial.layouts.waypoints());
-        Stage { senses: senses.collect(), drawn, waypoints, ..stage }
+        let stage = Stage { senses: senses.collect(), ..stage };
+        stage.with_layouts(&trial.layouts, trial.scenario.arena())
     }
 
     /// Returns the stage of a team with this deployment and scenario. `hull_m` is the radius of a robot's hull \[m\],
@@ -97,12 +101,19 @@ impl Stage {
             half_extent: arena.half_extent.to_array(),
             walls: arena.keep_outs.iter().map(KeepOut::solid).collect(),
             drawn: Vec::new(),
+            movers: Vec::new(),
             waypoints: Vec::new(),
             unlabelled: scenario.goals().are_unlabelled(),
             hull_m,
             range_m: Some(range_m).filter(|range_m| range_m.is_finite()),
             senses: Vec::new(),
         }
+    }
+
+    /// Returns the stage with what the layouts of a scenario with the arena `arena` have drawn for each episode.
+    pub fn with_layouts(self, layouts: &Layouts, arena: &Arena) -> Stage {
+        let (drawn, movers, waypoints) = (layouts.drawn_blocks(), layouts.movers(arena), layouts.waypoints());
+        Stage { drawn, movers, waypoints, ..self }
     }
 
     /// Returns the walls and obstacles in the episode with this index, from zero \[m\], world frame.

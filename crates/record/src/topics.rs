@@ -57,6 +57,8 @@ pub struct Topics {
     standing_due: Time,
     goals: BTreeMap<RobotId, Vec2>,
     followed: Option<(Round, Phase)>,
+    /// Time since which an episode runs; `None` between episodes.
+    running: Option<Time>,
     guards: BTreeMap<RobotId, SafetyCounts>,
     /// Time of the last pose message of each robot.
     posed: BTreeMap<RobotId, Time>,
@@ -80,6 +82,7 @@ impl Topics {
             standing_due: Time::ZERO,
             goals: BTreeMap::new(),
             followed: None,
+            running: None,
             guards: BTreeMap::new(),
             posed: BTreeMap::new(),
         }
@@ -281,6 +284,7 @@ impl Topics {
                 (self.standing_due, self.moved) = (now, true);
             }
         }
+        self.running = if mode.phase == Phase::Running { self.running.or(Some(now)) } else { None };
         if self.followed.replace((mode.round, mode.phase)) == Some((mode.round, mode.phase)) {
             return;
         }
@@ -320,12 +324,14 @@ impl Topics {
 
     fn draw(&mut self, now: Time, at: u64, take: Take) {
         let mut scene = SceneUpdate::default();
+        let episode = self.followed.map_or(0, |(round, _)| round.episode);
         if now >= self.standing_due {
             self.standing_due = now + STANDING_PERIOD;
             let goals: Vec<Vec2> = self.goals.values().copied().collect();
-            let episode = self.followed.map_or(0, |(round, _)| round.episode);
             scene.entities.extend(drawing::walls_and_goals(at, (&self.stage, episode), &goals));
         }
+        let elapsed = self.running.map(|began| now.since(began));
+        scene.entities.extend(drawing::movers(at, (&self.stage, episode), elapsed));
         scene.entities.extend(drawing::team(at, &self.stage, &self.team));
         encode_to(Topic::Scene, at, &scene, take);
         encode_to(Topic::Robots, at, &drawing::cloud(at, &self.team), take);

@@ -19,10 +19,10 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use murmurate::edge::EndsProcess;
-use murmurate::scenario::Solid;
+use murmurate::scenario::{DrawnMover, Solid};
 
 use super::shared::{PAGE, Shared};
-use super::snapshot::{Drawn, robots};
+use super::snapshot::{Drawn, movers, robots};
 
 /// Name of the WebSocket subprotocol.
 pub(super) const PROTOCOL: &str = "foxglove.sdk.v1";
@@ -161,6 +161,9 @@ struct Ground {
     /// Walls and obstacles of each episode, where obstacles are drawn for each.
     #[serde(default)]
     drawn: Vec<Vec<Solid>>,
+    /// Obstacles that move while an episode runs.
+    #[serde(default)]
+    movers: Vec<DrawnMover>,
     /// Number of the current episode, from 1; `None` while it is unknown.
     #[serde(skip)]
     episode: Option<usize>,
@@ -188,7 +191,10 @@ impl Ground {
             ..entity
         };
         let all = robots(snapshot, self.scale_m).enumerate().map(|(robot, drawn)| self.robot(robot, drawn));
-        let entities = all.chain([self.walls()]).map(at).collect();
+        let places = movers(snapshot, self.scale_m);
+        let moving: Vec<Solid> = self.movers.iter().zip(places).map(|(mover, at)| mover.body.moved(at)).collect();
+        let moving = (!self.movers.is_empty()).then(|| self.solids("moving obstacles", &moving));
+        let entities = all.chain([self.walls()]).chain(moving).map(at).collect();
         let mut bytes = Vec::new();
         SceneUpdate { entities, deletions: Vec::new() }.encode(&mut bytes).expect("a vector takes all");
         bytes.into()
@@ -227,10 +233,15 @@ impl Ground {
     }
 
     fn walls(&self) -> SceneEntity {
-        let height = 2.0 * self.hull_m;
-        let mut entity = SceneEntity { id: "walls".to_owned(), ..SceneEntity::default() };
         let drawn = self.episode.and_then(|number| self.drawn.get(number.checked_sub(1)?));
-        for wall in drawn.unwrap_or(&self.walls) {
+        self.solids("walls", drawn.unwrap_or(&self.walls))
+    }
+
+    /// Returns an entity with walls of these shapes.
+    fn solids(&self, id: &str, walls: &[Solid]) -> SceneEntity {
+        let height = 2.0 * self.hull_m;
+        let mut entity = SceneEntity { id: id.to_owned(), ..SceneEntity::default() };
+        for wall in walls {
             let corner = |[x, y, z]: [f32; 3]| Point3 { x: x.into(), y: y.into(), z: z.into() };
             let Solid::Rect(corners) = wall else {
                 entity.triangles.push(TriangleListPrimitive {

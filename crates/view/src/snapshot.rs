@@ -1,11 +1,12 @@
 //! Snapshot of a team at one time, and its binary encoding for the page.
 //!
 //! All numbers are little-endian. The header has 16 bytes: version (1 byte), a zero byte, number of robots (2), time of
-//! the run \[ms\] (4), number of links (2), number of omitted links (2), number of scans (2), two zero bytes.
+//! the run \[ms\] (4), number of links (2), number of omitted links (2), number of scans (2), number of moving obstacles
+//! (2).
 //!
 //! Then follow 9 bytes for each robot: x (2) and y (2) in units of the scene's `scale_m`, heading (2) in 1e-4 rad,
 //! phase (1), age (1) in 20 ms, flags (1). Then 6 bytes for each link: the two robots (2, 2), age (1) in 10 ms, loss
-//! (1) in %. Then each scan: robot (2), index of the sense (1), a zero byte, x (2), y (2) and heading (2) of the robot
+//! (1) in %. Then 4 bytes for each moving obstacle: x (2) and y (2) of the point that follows its path. Then each scan: robot (2), index of the sense (1), a zero byte, x (2), y (2) and heading (2) of the robot
 //! when the scan arrived, as above, number of rays (2), and the distance along each ray (2) in mm, 65535 for no echo.
 
 use super::scans::ScanState;
@@ -21,6 +22,8 @@ pub const HEADER_BYTES: usize = 16;
 pub const ROBOT_BYTES: usize = 9;
 /// Length of one link's entry in an encoded snapshot of a team \[bytes\].
 pub const LINK_BYTES: usize = 6;
+/// Length of one moving obstacle's entry in an encoded snapshot of a team \[bytes\].
+const MOVER_BYTES: usize = 4;
 /// Largest number of links in an encoded snapshot of a team: 36 kB, or 360 kB/s at ten snapshots a second.
 pub const MAX_LINKS: usize = 6000;
 
@@ -87,6 +90,8 @@ pub struct Snapshot {
     pub left_out: usize,
     /// Newest scans of the robots' senses.
     pub scans: Vec<ScanState>,
+    /// For each moving obstacle where the point is that follows its path \[m\], world frame; empty between episodes.
+    pub movers: Vec<Vec2>,
 }
 
 /// Returns the unit of encoded coordinates \[m\] with which positions up to `reach_m` \[m\] from the origin can be
@@ -102,7 +107,8 @@ impl Snapshot {
         let [scan, ray] = SCAN_BYTES;
         let scans: usize = self.scans.iter().map(|one| scan + ray * one.ranges_m.len()).sum();
         let robots = ROBOT_BYTES * self.robots.len();
-        let mut bytes = Vec::with_capacity(HEADER_BYTES + robots + LINK_BYTES * self.links.len() + scans);
+        let others = LINK_BYTES * self.links.len() + MOVER_BYTES * self.movers.len();
+        let mut bytes = Vec::with_capacity(HEADER_BYTES + robots + others + scans);
         bytes.extend([VERSION, 0]);
         bytes.extend(small(self.robots.len()));
         let ms = self.now.since(Time::ZERO).as_nanos() / 1_000_000;
@@ -110,7 +116,7 @@ impl Snapshot {
         bytes.extend(small(self.links.len()));
         bytes.extend(small(self.left_out));
         bytes.extend(small(self.scans.len()));
-        bytes.extend([0; 2]);
+        bytes.extend(small(self.movers.len()));
         for robot in &self.robots {
             let place = |number: Option<f32>| number.map_or(NO_NUMBER, |number| step(number / scale_m));
             bytes.extend(place(robot.position.map(|at| at.x)).to_le_bytes());
@@ -125,6 +131,9 @@ impl Snapshot {
             bytes.extend(link.other.to_le_bytes());
             bytes.push(aged(link.age, LINK_AGE));
             bytes.push(link.loss.map_or(NO_BYTE, |loss| loss.min(100)));
+        }
+        for coordinate in self.movers.iter().flat_map(|at| [at.x, at.y]) {
+            bytes.extend(step(coordinate / scale_m).to_le_bytes());
         }
         for scan in &self.scans {
             bytes.extend(scan.robot.to_le_bytes());
@@ -168,6 +177,16 @@ pub fn robots(bytes: &[u8], scale_m: f32) -> impl Iterator<Item = Drawn> {
     })
 }
 
+/// Returns where the points are that follow the paths of moving obstacles \[m\], world frame, in an encoded snapshot.
+/// `scale_m` is the unit of encoded coordinates \[m\].
+pub fn movers(bytes: &[u8], scale_m: f32) -> impl Iterator<Item = [f32; 2]> {
+    let count = |at: usize| bytes.get(at..at + 2).map_or(0, |of| usize::from(u16::from_le_bytes([of[0], of[1]])));
+    let begin = HEADER_BYTES + ROBOT_BYTES * count(2) + LINK_BYTES * count(8);
+    let all = bytes.get(begin..).unwrap_or_default().chunks_exact(MOVER_BYTES).take(count(14));
+    let place = move |code: [u8; 2]| f32::from(i16::from_le_bytes(code)) * scale_m;
+    all.map(move |of| [place([of[0], of[1]]), place([of[2], of[3]])])
+}
+
 fn step(number: f32) -> i16 {
     number.round().clamp(-STEPS, STEPS) as i16
 }
@@ -199,20 +218,22 @@ mod tests {
             heading: -0.5,
             ranges_m: [1.2345, f32::INFINITY, 70.0].into(),
         };
-        let robots = vec![robot, RobotState::default()];
-        let snapshot = Snapshot { now, robots, links: vec![link], left_out: 3, scans: vec![scan] };
+        let (robots, movers) = (vec![robot, RobotState::default()], vec![Vec2::new(-1.5, 0.5)]);
+        let snapshot = Snapshot { now, robots, links: vec![link], left_out: 3, scans: vec![scan], movers };
         let bytes = snapshot.encode(scale_m(32.0));
-        assert_eq!(bytes.len(), 16 + 2 * 9 + 6 + 12 + 3 * 2);
-        assert_eq!(bytes[..16], [1, 0, 2, 0, 0xd2, 4, 0, 0, 1, 0, 3, 0, 1, 0, 0, 0]);
+        assert_eq!(bytes.len(), 16 + 2 * 9 + 6 + 4 + 12 + 3 * 2);
+        assert_eq!(bytes[..16], [1, 0, 2, 0, 0xd2, 4, 0, 0, 1, 0, 3, 0, 1, 0, 1, 0]);
         let number = |at: usize| i16::from_le_bytes([bytes[at], bytes[at + 1]]);
         assert_eq!([number(16), number(18), number(20)], [1000, -2000, -5000]);
         assert_eq!(bytes[22..25], [3, 2, 2]);
         assert_eq!([number(25), number(27), number(29)], [i16::MIN; 3], "nothing is made up");
         assert_eq!(bytes[31..34], [255, 255, 0]);
         assert_eq!(bytes[34..40], [0, 0, 1, 0, 12, 7]);
-        assert_eq!(bytes[40..44], [1, 0, 2, 0]);
-        assert_eq!([number(44), number(46), number(48)], [1000, -2000, -5000]);
-        assert_eq!(bytes[50..], [3, 0, 0xd3, 4, 255, 255, 255, 255], "1235 mm, and nothing seen");
+        assert_eq!([number(40), number(42)], [-1500, 500]);
+        assert_eq!(super::movers(&bytes, scale_m(32.0)).collect::<Vec<_>>(), [[-1.5, 0.5]]);
+        assert_eq!(bytes[44..48], [1, 0, 2, 0]);
+        assert_eq!([number(48), number(50), number(52)], [1000, -2000, -5000]);
+        assert_eq!(bytes[54..], [3, 0, 0xd3, 4, 255, 255, 255, 255], "1235 mm, and nothing seen");
     }
 
     #[test]

@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::scans::ScanForm;
 use murmurate::messages::geometry::Planar;
 use murmurate::messages::ids::RobotId;
-use murmurate::scenario::{Arena, KeepOut, Solid};
+use murmurate::scenario::{Arena, DrawnMover, KeepOut, Solid};
 
 /// Largest number of log lines that the live page gets.
 pub const LOG_LINES: usize = 40;
@@ -37,6 +37,8 @@ pub struct Scene {
     pub walls: Vec<Solid>,
     /// Walls and obstacles of each episode, where obstacles are drawn for each; empty where all episodes have `walls`.
     pub drawn: Vec<Vec<Solid>>,
+    /// Obstacles that move while an episode runs; empty if there are none.
+    pub movers: Vec<DrawnMover>,
     /// Waypoints of each robot in each episode \[m\], world frame; empty if there are none.
     pub waypoints: Vec<Vec<Vec<[f32; 2]>>>,
     /// Whether goals belong to no robot.

@@ -343,7 +343,10 @@ impl TeamView {
             false => (Vec::new(), 0),
         };
         let (robots, scans) = (self.robots.iter().map(state).collect(), self.scans.drawn(now));
-        Snapshot { now, robots, links, left_out, scans }
+        let movers = self.running.zip(self.leader).into_iter().flat_map(|(began, (_, episode, _))| {
+            self.scene.movers.iter().filter_map(move |mover| mover.place(episode, now.since(began)))
+        });
+        Snapshot { now, robots, links, left_out, scans, movers: movers.collect() }
     }
 
     /// Returns the status of the team at the time `now`, as far as messages tell it. Fields that the calling process
@@ -403,6 +406,7 @@ mod tests {
     use murmurate::messages::wire;
     use murmurate::messages::wire::REVISION;
     use murmurate::messages::wire::{Condition, Features, Following, Heartbeat, Latent, Round, Telemetry};
+    use murmurate::scenario::{DrawnMover, Solid};
 
     fn view() -> TeamView {
         let scene = Scene { robots: 3, range_m: Some(1.0), hears_links: true, hears_results: true, ..Scene::default() };
@@ -614,6 +618,29 @@ mod tests {
         assert_eq!(age(&mut view, 4000), Some(Span::ZERO), "between episodes agents need not speak");
         view.receive(at(5000), &mode(Phase::Running));
         assert_eq!(age(&mut view, 5100), Some(Span::from_millis(100)), "it has just begun");
+    }
+
+    #[test]
+    fn moving_obstacles_are_where_they_begin_in_each_episode_and_nowhere_between() {
+        let mut view = view();
+        view.scene.movers = vec![DrawnMover {
+            body: Solid::Rect([-0.1; 4]),
+            round: vec![[0.0, 0.0], [2.0, 0.0], [0.0, 0.0]],
+            speed_m_s: 0.5,
+            phases: vec![0.0, 0.5],
+        }];
+        let mode = |episode, phase| {
+            let (round, latch) = (Round { episode, ..Round::default() }, Latch::default());
+            Wire::Mode(Mode { round, repeat: 0, phase, first: RobotId(0), tasks: Vec::new().into(), latch })
+        };
+        let mut places = |ms, episode, phase| {
+            view.receive(at(ms), &mode(episode, phase));
+            view.snapshot(at(ms + 1000)).movers
+        };
+        assert_eq!(places(100, 0, Phase::Running), [Vec2::new(0.5, 0.0)]);
+        assert_eq!(places(1100, 0, Phase::Running), [Vec2::new(1.0, 0.0)]);
+        assert!(places(1200, 0, Phase::FinishedRunning).is_empty());
+        assert_eq!(places(1300, 1, Phase::Running), [Vec2::new(1.5, 0.0)], "on its way back");
     }
 
     #[test]

@@ -145,6 +145,7 @@ fn scene(shown: &Shown, name: &str) -> Scene {
         half_extent: stage.half_extent,
         walls: stage.walls.clone(),
         drawn: stage.drawn.clone(),
+        movers: stage.movers.clone(),
         waypoints: stage.waypoints.clone(),
         unlabelled: stage.unlabelled,
         hull_m: stage.hull_m,

@@ -126,7 +126,6 @@ impl Page {
         let routes = Routes::of(deployment);
         let range_m = policy.as_ref().map(|policy| farthest_m(deployment, &policy.models));
         let layouts = Layouts::of_scenario(&*scenario, some.seed, some.episodes);
-        let (drawn, waypoints) = (layouts.drawn_blocks(), layouts.waypoints());
         let scene = Scene {
             scenario: some.scenario.clone(),
             mode: deployment.mode.clone(),
@@ -137,8 +136,9 @@ impl Page {
             scans: scans(deployment, registry),
             hears_links: false,
             hears_results: events.is_some(),
-            drawn: drawn.clone(),
-            waypoints: waypoints.clone(),
+            drawn: layouts.drawn_blocks(),
+            movers: layouts.movers(scenario.arena()),
+            waypoints: layouts.waypoints(),
             unlabelled: scenario.goals().are_unlabelled(),
             ..Scene::of_arena(scenario.arena())
         };
@@ -154,7 +154,7 @@ impl Page {
             stage: {
                 let range_m = range_m.unwrap_or(f32::INFINITY);
                 let stage = Stage::of_team((deployment, &*scenario), scenario.arena().robot_radius_m, range_m);
-                Stage { drawn, waypoints, ..stage }
+                stage.with_layouts(&layouts, scenario.arena())
             },
         })
     }

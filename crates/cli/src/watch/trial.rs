@@ -146,6 +146,7 @@ fn scene(trial: &Trial, policy: &str) -> Scene {
         hears_links: true,
         hears_results: true,
         drawn: trial.layouts.drawn_blocks(),
+        movers: trial.layouts.movers(trial.scenario.arena()),
         waypoints: trial.layouts.waypoints(),
         unlabelled: trial.scenario.goals().are_unlabelled(),
         ..Scene::of_arena(trial.scenario.arena())

@@ -2,7 +2,7 @@
 "use strict";
 
 const PHASES = ["needs reset", "resetting", "in place", "running", "at goal", "aborted", "finished", "waiting"];
-const HEADER = 16, ROBOT = 9, LINK = 6, SCAN = 12, UNKNOWN = -32768, NO_ECHO = 65535;
+const HEADER = 16, ROBOT = 9, LINK = 6, MOVER = 4, SCAN = 12, UNKNOWN = -32768, NO_ECHO = 65535;
 const STALE_MS = 700;      // Snapshot age [ms] at which the page turns grey; checked every 100 ms, so within 1 s.
 const TRAIL_MS = 150, TRAIL_LENGTH = 30;
 const MANY = 500;          // Number of links above which they are drawn thin and without dashes.
@@ -387,6 +387,7 @@ function draw() {
   pen.fillStyle = colours.wall;
   wallsNow().forEach(drawWall);
   if (!world) return;
+  drawMovers();
   const n = world.getUint16(2, true), at = positions(world, n);
   keepTrail(at);
   if ($("show-range").checked && scene.range_m) drawRange(at, n, pixel);
@@ -407,6 +408,19 @@ function drawWall(wall) {
   if (wall.disc) pen.arc(...wall.disc, 0, 2 * Math.PI);
   else for (const corner of wall.polygon) pen.lineTo(...corner);
   pen.fill();
+}
+
+// Offset of the places of moving obstacles in a snapshot.
+function moversAt() { return HEADER + world.getUint16(2, true) * ROBOT + world.getUint16(8, true) * LINK; }
+
+// Draws the moving obstacles where they are. Between episodes there are none.
+function drawMovers() {
+  for (let mover = 0, from = moversAt(); mover < world.getUint16(14, true); mover++, from += MOVER) {
+    pen.save();
+    pen.translate(world.getInt16(from, true) * scene.scale_m, world.getInt16(from + 2, true) * scene.scale_m);
+    drawWall(scene.movers[mover].body);
+    pen.restore();
+  }
 }
 
 function keepTrail(at) {
@@ -479,7 +493,7 @@ function drawTrails(n, pixel) {
 // Draws the newest scan of each robot: a thin line along each ray with an echo, and a dot at the echo.
 function drawScans(pixel) {
   const lines = new Path2D(), dots = new Path2D(), count = world.getUint16(12, true), dot = 1.6 * pixel;
-  let at = HEADER + world.getUint16(2, true) * ROBOT + world.getUint16(8, true) * LINK;
+  let at = moversAt() + world.getUint16(14, true) * MOVER;
   for (let scan = 0; scan < count; scan++) {
     const robot = world.getUint16(at, true), rays = world.getUint16(at + 10, true), ranges = at + SCAN;
     const form = scene.scans.find(form => form.sense === world.getUint8(at + 2));
