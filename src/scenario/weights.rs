@@ -23,6 +23,8 @@ pub struct Weights {
     pub cohesion: Option<f32>,
     /// Penalty per second for the squared difference of the velocity from the mean of the team \[s/m²\].
     pub matching: Option<f32>,
+    /// Penalty per second for the mean squared distance of the ground from the nearest robot \[1/(m² s)\].
+    pub coverage: Option<f32>,
 }
 
 impl Weights {
@@ -37,6 +39,7 @@ impl Weights {
             ("energy", self.energy),
             ("cohesion", self.cohesion),
             ("matching", self.matching),
+            ("coverage", self.coverage),
         ];
         all.into_iter().filter_map(|(term, weight)| Some((term, weight?)))
     }

@@ -117,9 +117,9 @@ fn what_cannot_be_is_refused_by_its_field() {
         (format!("{sides}\nsenses.eyes = {{ rays = 3 }}"), "senses.eyes.kind: it is missing"),
         ("places = [[0, 0]]\ngoals = \"unlabelled\"".to_owned(), "places: robots would stand at unlabelled goals"),
         (
-            format!("{sides}\nreward = {{ coverage = 1.0 }}"),
-            "reward.coverage: unknown field `coverage`, expected one of `progress`, `arrival`, `contact`, `time`, \
-             `nearness`, `energy`, `cohesion`, `matching`",
+            format!("{sides}\nreward = {{ spread = 1.0 }}"),
+            "reward.spread: unknown field `spread`, expected one of `progress`, `arrival`, `contact`, `time`, \
+             `nearness`, `energy`, `cohesion`, `matching`, `coverage`",
         ),
         (format!("{sides}\nwalls = [{{ points = [[0, 0]] }}]"), "walls[0]: a wall is a rect, a disc or a polygon"),
         (format!("{sides}\nwalls = [{{ disc = [0, 0, -1] }}]"), "walls[0].disc[2]: -1 is not"),

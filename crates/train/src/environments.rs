@@ -18,7 +18,7 @@ use super::config::{Conditions, Reward};
 use super::courses::Courses;
 use super::filters;
 use super::message_buffer::MessageBuffer;
-use super::reward::{RobotStep, TeamMeans, proximity_penalty, robot_reward, team_penalty};
+use super::reward::{RobotStep, TeamMeans, coverage_penalty, proximity_penalty, robot_reward, team_penalty};
 use super::rolling::Rolling;
 use murmurate::chassis::{Chassis, DriveKind};
 use murmurate::messages::geometry::{Motion, Task, Vec2};
@@ -347,7 +347,8 @@ impl Environments {
             sum += *reward;
             touched |= contacts.wall || (judged && contacts.robot);
         }
-        let waiting = team_penalty(weights, &self.arrived[range.clone()]);
+        let uncovered = coverage_penalty(weights, arena, points);
+        let waiting = team_penalty(weights, &self.arrived[range.clone()]) + uncovered;
         let mean = sum / range.len() as f32;
         for reward in &mut self.reward[range] {
             *reward += weights.shared * (mean - *reward) - waiting;

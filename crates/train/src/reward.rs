@@ -8,6 +8,8 @@ use murmurate::world::kinematic::PERIOD;
 
 /// Distance of a robot from its goal within which the goal's own distance from a wall matters \[m\].
 const NEAR_GOAL_M: f32 = 0.5;
+/// Number of points along each axis of the ground at which its distance from the nearest robot is taken.
+const GROUND_POINTS: u8 = 16;
 
 /// State of one robot before and after a step, as input of the reward.
 #[derive(Debug)]
@@ -126,6 +128,26 @@ impl TeamMeans {
     }
 }
 
+/// Returns the penalty, zero or more, of every robot of a team in a step for the ground that is far from all of them:
+/// the cost of coverage of Cortés et al., IEEE Transactions on Robotics and Automation 20(2), 2004, with a uniform
+/// density, at points of a grid that are in no block of `arena`. `positions` are those of the robots \[m\].
+pub fn coverage_penalty(weights: &Reward, arena: &Arena, positions: &[Vec2]) -> f32 {
+    if weights.coverage == 0.0 {
+        return 0.0;
+    }
+    let middle = |at: u8| (2.0 * f32::from(at) + 1.0) / f32::from(GROUND_POINTS) - 1.0;
+    let (mut sum, mut count) = (0.0, 0.0);
+    for (x, y) in (0..GROUND_POINTS).flat_map(|x| (0..GROUND_POINTS).map(move |y| (x, y))) {
+        let point = arena.half_extent.component_mul(&Vec2::new(middle(x), middle(y)));
+        if arena.keep_outs.iter().all(|block| block.distance(point) > 0.0) {
+            let squares = positions.iter().map(|position| (position - point).norm_squared());
+            sum += squares.fold(f32::INFINITY, f32::min);
+            count += 1.0;
+        }
+    }
+    weights.scale * weights.coverage * (sum / f32::max(count, 1.0)) * PERIOD.as_secs() as f32
+}
+
 /// Returns the penalty, zero or more, of every robot of a team in a step; `arrived` says which robots have arrived at
 /// their goals.
 pub fn team_penalty(weights: &Reward, arrived: &[bool]) -> f32 {
@@ -139,6 +161,7 @@ pub fn team_penalty(weights: &Reward, arrived: &[bool]) -> f32 {
 mod tests {
     use super::*;
     use crate::config::Config;
+    use murmurate::scenario::KeepOut;
 
     #[test]
     fn a_goal_near_a_wall_costs_nothing_if_the_configuration_says_so() {
@@ -169,6 +192,23 @@ mod tests {
         assert_eq!(cost(Reward { scale: 1.0, energy: 3.0, ..reward }), 3.0 * 4.0 * step_s);
         assert_eq!(cost(Reward { scale: 1.0, cohesion: 3.0, ..reward }), 3.0 * 2.0 * step_s);
         assert_eq!(cost(Reward { scale: 0.5, matching: 3.0, ..reward }), 0.5 * 3.0 * step_s);
+    }
+
+    #[test]
+    fn uncovered_ground_costs_the_mean_squared_distance_from_the_nearest_robot() {
+        let reward = Config::preset("robust").expect("it is a preset").reward;
+        let cost = |coverage, arena: &Arena, positions: &[Vec2]| {
+            coverage_penalty(&Reward { scale: 1.0, coverage, ..reward }, arena, positions) / PERIOD.as_secs() as f32
+        };
+        let square = Arena::new(Vec2::new(3.0, 3.0), Vec::new(), 0.1);
+        // The mean of x² + y² over a square from -3 to 3 is 2 · 3² / 3.
+        assert!((cost(2.0, &square, &[Vec2::zeros()]) - 12.0).abs() < 0.05);
+        let halves = [Vec2::new(-1.5, 0.0), Vec2::new(1.5, 0.0)];
+        assert!((cost(1.0, &square, &halves) - (0.75 + 3.0)).abs() < 0.02, "each covers its half");
+        assert_eq!(cost(0.0, &square, &halves), 0.0);
+        let block = KeepOut::rect(Vec2::new(0.0, -3.0), Vec2::new(3.0, 3.0));
+        let half = Arena::new(Vec2::new(3.0, 3.0), vec![block], 0.1);
+        assert!((cost(1.0, &half, &halves[..1]) - (0.75 + 3.0)).abs() < 0.02, "a block need not be covered");
     }
 
     #[test]

@@ -48,6 +48,10 @@ pub struct Reward {
     /// Penalty per second for the squared difference of a robot's velocity from the mean of its team \[s/m²\].
     #[serde(default, skip_serializing_if = "is_zero")]
     pub matching: f32,
+    /// Penalty per second, of every robot of a team, for the mean squared distance of the ground from the nearest robot
+    /// \[1/(m² s)\]: the cost of coverage with a uniform density.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub coverage: f32,
     /// Whether a robot near its goal pays for nearness to a wall only where it is nearer than the goal itself.
     /// Otherwise a robot does not drive to a goal that is within `wall_proximity_m` of a wall.
     #[serde(default, skip_serializing_if = "is_false")]
@@ -110,6 +114,7 @@ impl Reward {
             energy: weights.energy.unwrap_or(self.energy),
             cohesion: weights.cohesion.unwrap_or(self.cohesion),
             matching: weights.matching.unwrap_or(self.matching),
+            coverage: weights.coverage.unwrap_or(self.coverage),
             ..self
         }
     }
@@ -130,6 +135,7 @@ impl Reward {
             ("reward.energy", self.energy),
             ("reward.cohesion", self.cohesion),
             ("reward.matching", self.matching),
+            ("reward.coverage", self.coverage),
             ("reward.filtered", self.filtered),
         ];
         for (field, value) in weights {
