@@ -1,13 +1,14 @@
 //! Snapshot of a team at one time, and its binary encoding for the page.
 //!
 //! All numbers are little-endian. The header has 16 bytes: version (1 byte), a zero byte, number of robots (2), time of
-//! the run \[ms\] (4), number of links (2), number of omitted links (2), number of scans (2), number of moving obstacles
-//! (2).
+//! the run \[ms\] (4), number of links (2), number of omitted links (2), number of scans (2), number of moving
+//! obstacles (2).
 //!
 //! Then follow 9 bytes for each robot: x (2) and y (2) in units of the scene's `scale_m`, heading (2) in 1e-4 rad,
 //! phase (1), age (1) in 20 ms, flags (1). Then 6 bytes for each link: the two robots (2, 2), age (1) in 10 ms, loss
-//! (1) in %. Then 4 bytes for each moving obstacle: x (2) and y (2) of the point that follows its path. Then each scan: robot (2), index of the sense (1), a zero byte, x (2), y (2) and heading (2) of the robot
-//! when the scan arrived, as above, number of rays (2), and the distance along each ray (2) in mm, 65535 for no echo.
+//! (1) in %. Then 4 bytes for each moving obstacle: x (2) and y (2) of the point that follows its path. Then each scan:
+//! robot (2), index of the sense (1), a zero byte, x (2), y (2) and heading (2) of the robot when the scan arrived, as
+//! above, number of rays (2), and the distance along each ray (2) in mm, 65535 for no echo.
 
 use super::scans::ScanState;
 use murmurate::messages::geometry::Vec2;
