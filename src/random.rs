@@ -50,6 +50,55 @@ impl Seed {
     }
 }
 
+/// Position in a random stream, by which `#[serde(with = "random::stored")]` stores a stream.
+pub mod stored {
+    use rand::SeedableRng;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    use super::Stream;
+
+    /// Position in a random stream. (The position within the stream has more than 64 bits.)
+    #[derive(Clone, Debug, Serialize, Deserialize)]
+    pub struct StoredStream {
+        seed: [u8; 32],
+        stream: u64,
+        position: [u64; 2],
+    }
+
+    impl StoredStream {
+        /// Returns the position of a stream.
+        pub fn of(stream: &Stream) -> StoredStream {
+            let position = stream.get_word_pos();
+            let position = [(position >> 64) as u64, position as u64];
+            StoredStream { seed: stream.get_seed(), stream: stream.get_stream(), position }
+        }
+
+        /// Returns a stream that continues at this position.
+        pub fn stream(&self) -> Stream {
+            let mut stream = Stream::from_seed(self.seed);
+            stream.set_stream(self.stream);
+            stream.set_word_pos(u128::from(self.position[0]) << 64 | u128::from(self.position[1]));
+            stream
+        }
+    }
+
+    /// Stores the position of a stream.
+    ///
+    /// # Errors
+    /// Those of the serializer.
+    pub fn serialize<S: Serializer>(stream: &Stream, to: S) -> Result<S::Ok, S::Error> {
+        StoredStream::of(stream).serialize(to)
+    }
+
+    /// Reads a stream that continues at the stored position.
+    ///
+    /// # Errors
+    /// Those of the deserializer.
+    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Stream, D::Error> {
+        StoredStream::deserialize(from).map(|stored| stored.stream())
+    }
+}
+
 /// Draws two independent numbers of the standard normal distribution from `stream` (Marsaglia's polar method).
 pub fn normals(stream: &mut Stream) -> [f64; 2] {
     NormalPair::draw(stream).numbers()

@@ -1,6 +1,7 @@
 """Murmurate: message-passing policies on teams of robots.
 
 * :class:`VecEnv`: many teams behind numpy buffers, with delay, loss and lag if asked for.
+* :class:`Channel`: delay, loss and contention of messages, for environments of any trainer.
 * :func:`sim`: episodes of a policy in simulation, as the command ``murmurate sim`` runs them.
 * :class:`Scenario`: tasks in Python; :func:`check_scenario` tests one.
 * :func:`study`: studies, in one process, in several, or on a Ray cluster.
@@ -15,7 +16,7 @@
 from ._check import check_scenario
 from ._export import export
 from ._graph import export_graph
-from ._module import VecEnv, __version__
+from ._module import Channel, VecEnv, __version__
 from ._scenario import Scenario, State
 from ._sim import Results, sim
 from ._study import Study, study
@@ -24,6 +25,7 @@ from ._trained import trained
 from .policy import Inputs, Outputs, Policy
 
 __all__ = [
+    "Channel",
     "Inputs",
     "Outputs",
     "Policy",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from . import _murmurate
-    from ._murmurate import VecEnv, __version__, broken_contract, run_program, sim_json, sim_task_json
+    from ._murmurate import Channel, VecEnv, __version__, broken_contract, run_program, sim_json, sim_task_json
 
 #: Group of entry points by which a package names a compiled module to be used in place of this package's own.
 GROUP = "murmurate"
@@ -39,6 +39,7 @@ def _load():
 
 _murmurate = _load()
 VecEnv = _murmurate.VecEnv
+Channel = _murmurate.Channel
 __version__ = _murmurate.__version__
 run_program = _murmurate.run_program
 sim_json = _murmurate.sim_json
@@ -49,3 +50,8 @@ broken_contract = _murmurate.broken_contract
 def restored(state: bytes, scenario: Any = None) -> VecEnv:
     """Makes environments that continue from a state: what a pickled :class:`VecEnv` calls where it is read."""
     return VecEnv.from_state(state, scenario)
+
+
+def restored_channel(state: bytes) -> Channel:
+    """Makes a channel that continues from a state: what a pickled :class:`Channel` calls where it is read."""
+    return Channel.from_state(state)

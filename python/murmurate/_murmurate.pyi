@@ -10,6 +10,106 @@ from ._scenario import State, Task
 #: Version of the package.
 __version__: str
 
+class Channel:
+    """Delay, loss and contention of the messages between the robots of N teams, for environments of any trainer.
+
+    In each step robots send, and a period later ``heard``, ``age``, ``index`` and ``said`` have the newest message that each
+    robot holds of each other one. The channel owns these arrays: every step writes into the same ones. A pickled or copied
+    channel continues to the bit as the original does.
+
+    Args:
+        num_envs: Number of environments N. Each has its own random numbers.
+        num_robots: Number of robots R in each environment.
+        radio: Radio channel that the robots of an environment share: a preset ("wifi", "wifi-n", "wifi-slow", "paper") or a
+            radio file (docs/radio.md). None lets each message take its own way.
+        loss: Probability that a receiver loses a message, independently of others.
+        burst_share: Share of the time in which a receiver hears nothing of a sender.
+        burst_s: Mean duration of such a time [s].
+        delay_s: Delay of a message [s], or the least and the largest one, between which it is drawn for each receiver.
+        tail_s: Mean of an exponentially distributed part of the delay [s], in addition.
+        range_m: Distance up to which robots hear each other [m]; None for any.
+        period_s: Duration of a step [s].
+        spread_s: Longest time after the beginning of a step at which a robot sends [s]; each robot has its own, drawn for
+            each episode. 0: all send at once.
+        hold_s: Age up to which a message counts [s].
+        content: Number of floats M of a message, which ``said`` delivers; 0 leaves them to the caller, by ``index``.
+        threads: Number of threads; the data do not depend on it.
+        seed: Seed of all random numbers; None draws one from the operating system.
+
+    Attributes:
+        heard: Whether a receiver has a message of a sender that is not too old (N, R, R), by receiver and then by sender.
+        age: Time since that message was sent [s] (N, R, R); 0 where there is none.
+        index: Number of the step in which it was sent, from 0 since the reset (N, R, R); -1 where there is none.
+        said: Its floats (N, R, R, M); zeros where there is none.
+        num_envs: Number of environments N.
+        num_robots: Number of robots R.
+        period_s: Duration of a step [s].
+        hold_s: Age up to which a message counts [s].
+    """
+
+    heard: NDArray[np.bool_]
+    age: NDArray[np.float32]
+    index: NDArray[np.int32]
+    said: NDArray[np.float32]
+    num_envs: int
+    num_robots: int
+    period_s: float
+    hold_s: float
+    def __init__(
+        self,
+        num_envs: int,
+        num_robots: int,
+        *,
+        radio: str | os.PathLike[str] | None = None,
+        loss: float = 0.0,
+        burst_share: float = 0.0,
+        burst_s: float = 1.0,
+        delay_s: float | tuple[float, float] = 0.0,
+        tail_s: float = 0.0,
+        range_m: float | None = None,
+        period_s: float = 0.05,
+        spread_s: float = 0.0,
+        hold_s: float = 1.0,
+        content: int = 0,
+        threads: int = 1,
+        seed: int | None = 0,
+    ) -> None: ...
+    def step(
+        self,
+        position: NDArray[np.float32] | None = None,
+        *,
+        sends: NDArray[np.bool_] | None = None,
+        bytes: int | NDArray[np.int32] | None = None,
+        to: NDArray[np.int32] | None = None,
+        content: NDArray[np.float32] | None = None,
+    ) -> None:
+        """Sends what the robots say in this step, and goes on by a period.
+
+        Args:
+            position: Positions [m] (N, R, 2), needed with a range.
+            sends: Whether each robot sends (N, R); None: all do.
+            bytes: Length of each robot's datagram [bytes], one number or (N, R); 200 if left out. Radio channels need it.
+            to: Index of the robot to which each robot sends (N, R), -1 for all others; None: all send to all.
+            content: Floats of the messages (N, R, M).
+        """
+
+    def reset(self, mask: NDArray[np.bool_] | None = None, *, seed: int | None = None) -> None:
+        """Begins anew where ``mask`` (N) is true, or everywhere: nothing was said there. With ``seed`` all random numbers
+        begin anew, for all environments together."""
+
+    def state(self) -> bytes:
+        """Returns the whole state, from which :meth:`set_state` continues to the bit."""
+
+    def set_state(self, state: bytes) -> None:
+        """Continues from a state of a channel with the same arguments; ``seed`` and ``threads`` may differ."""
+
+    def copy(self) -> Channel:
+        """Returns a channel that continues as this one does, with arrays of its own."""
+
+    @staticmethod
+    def from_state(state: bytes) -> Channel:
+        """Makes a channel from a state, with its arguments."""
+
 class VecEnv:
     """Many teams of one scenario, advanced together by steps of 50 ms.
 

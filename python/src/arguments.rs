@@ -45,8 +45,13 @@ fn number(argument: &str, value: &Bound<'_, PyAny>, least: f64, most: f64) -> Py
     Ok(number as f32)
 }
 
+/// Returns a number; its range is for the caller.
+pub fn number_f64(argument: &str, value: &Bound<'_, PyAny>) -> PyResult<f64> {
+    value.extract::<f64>().map_err(|_| wrong(argument, format!("{} is no number", shown(value))))
+}
+
 /// Returns a text, or a path as a text.
-fn text(argument: &str, value: &Bound<'_, PyAny>) -> PyResult<String> {
+pub fn text(argument: &str, value: &Bound<'_, PyAny>) -> PyResult<String> {
     let path = || value.py().import("os")?.call_method1("fspath", (value,))?.extract::<String>();
     path().map_err(|_| wrong(argument, format!("{} is no text", shown(value))))
 }

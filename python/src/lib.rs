@@ -3,6 +3,7 @@
 
 mod arguments;
 mod arrays;
+mod channel;
 mod memory;
 mod picture;
 mod program;
@@ -29,6 +30,7 @@ static REGISTRY: OnceLock<Registry> = OnceLock::new();
 pub fn fill(module: &Bound<'_, PyModule>, registry: Registry) -> PyResult<()> {
     assert!(REGISTRY.set(registry).is_ok(), "a process has one module of murmurate");
     module.add_class::<vec_env::VecEnv>()?;
+    module.add_class::<channel::Channel>()?;
     module.add_function(wrap_pyfunction!(program::sim_json, module)?)?;
     module.add_function(wrap_pyfunction!(program::sim_task_json, module)?)?;
     module.add_function(wrap_pyfunction!(program::broken_contract, module)?)?;

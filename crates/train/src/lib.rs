@@ -8,6 +8,7 @@
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod adam;
+pub mod air;
 pub mod batch;
 pub mod channels;
 mod checkpoint;

@@ -14,7 +14,7 @@ use crate::config::{Conditions, Reward};
 use crate::snapshot::Snapshot;
 use murmurate::chassis;
 use murmurate::policy::manifest::Field;
-use murmurate::random::Stream;
+use murmurate::random::stored::StoredStream;
 use murmurate::registry::Registry;
 use murmurate::scenario::Settings;
 
@@ -121,30 +121,6 @@ impl StoredOptions {
             named.remove(free);
         }
         named
-    }
-}
-
-/// Position in a random stream. (The position within the stream has more than 64 bits.)
-#[derive(Serialize, Deserialize)]
-struct StoredStream {
-    seed: [u8; 32],
-    stream: u64,
-    position: [u64; 2],
-}
-
-impl StoredStream {
-    fn of(stream: &Stream) -> StoredStream {
-        let position = stream.get_word_pos();
-        let position = [(position >> 64) as u64, position as u64];
-        StoredStream { seed: stream.get_seed(), stream: stream.get_stream(), position }
-    }
-
-    fn stream(&self) -> Stream {
-        use rand::SeedableRng;
-        let mut stream = Stream::from_seed(self.seed);
-        stream.set_stream(self.stream);
-        stream.set_word_pos(u128::from(self.position[0]) << 64 | u128::from(self.position[1]));
-        stream
     }
 }
 

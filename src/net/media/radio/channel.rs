@@ -6,6 +6,7 @@
 //! emulated link runs one inside an actor.
 
 use rand::RngExt;
+use serde::{Deserialize, Serialize};
 
 use super::counts::{RadioCounts, StationCounts};
 pub use super::station::Destination;
@@ -13,7 +14,7 @@ use super::station::{Hop, QueuedFrame, Station};
 use super::{Radio, Times, Topology};
 use crate::messages::geometry::Vec2;
 use crate::random;
-use crate::random::{Seed, Stream};
+use crate::random::{Seed, Stream, stored};
 use crate::time::{Span, Time};
 
 /// Length of the datagram in each simulated frame of other networks, which load the channel \[bytes\]. It is a full
@@ -34,7 +35,7 @@ pub struct Delivery<T> {
 }
 
 /// Frame that a station of a radio channel, or its access point, has transmitted, as a monitor sees it.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Transmission<T> {
     /// Time at which the transmission began.
     pub since: Time,
@@ -57,7 +58,7 @@ pub struct Transmission<T> {
 }
 
 /// Start and end of the transmission that is in progress; if several frames collide, the end is that of the longest.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct OnAir {
     since: Time,
     until: Time,
@@ -65,7 +66,7 @@ struct OnAir {
 
 /// Simulated radio channel of IEEE 802.11 with its stations, which contend for the medium. Stations have indices from
 /// zero. `T` is the caller's payload, which a frame carries to its receivers.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Channel<T> {
     radio: Radio,
     times: Times,
@@ -75,6 +76,7 @@ pub struct Channel<T> {
     members: u16,
     /// Position \[m\] of each member (station of the caller), by its index; a member without a position is within range
     /// of all.
+    #[serde(with = "positions")]
     positions: Vec<Option<Vec2>>,
     on_air: Option<OnAir>,
     senders: Vec<usize>,
@@ -84,12 +86,32 @@ pub struct Channel<T> {
     due: Option<Time>,
     foreign_due: Option<Time>,
     foreign_gap_s: f64,
+    #[serde(with = "stored")]
     backoff: Stream,
+    #[serde(with = "stored")]
     noise: Stream,
+    #[serde(with = "stored")]
     foreign: Stream,
     counts: RadioCounts,
     /// Transmissions since the last call of `transmissions`; `None` if they are not recorded.
     transmissions: Option<Vec<Transmission<T>>>,
+}
+
+/// Stores positions as pairs of numbers.
+mod positions {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    use crate::messages::geometry::{Planar, Vec2};
+
+    pub fn serialize<S: Serializer>(positions: &[Option<Vec2>], to: S) -> Result<S::Ok, S::Error> {
+        let pairs = positions.iter().map(|position| position.as_ref().map(Planar::to_array));
+        pairs.collect::<Vec<Option<[f32; 2]>>>().serialize(to)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Option<Vec2>>, D::Error> {
+        let pairs = Vec::<Option<[f32; 2]>>::deserialize(from)?;
+        Ok(pairs.into_iter().map(|pair| pair.map(Vec2::from)).collect())
+    }
 }
 
 impl<T: Clone> Channel<T> {

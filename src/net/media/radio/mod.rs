@@ -156,7 +156,7 @@ fn rate(name: &str) -> Rate {
 }
 
 /// Time intervals of medium access, which follow from the parameters of a radio channel.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Times {
     /// Slot time, the unit in which stations count their backoff.
     pub slot: Span,

@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use rand::RngExt;
+use serde::{Deserialize, Serialize};
 
 use super::counts::StationCounts;
 use super::{Counting, Radio};
@@ -11,7 +12,8 @@ use crate::random::Stream;
 use crate::time::Span;
 
 /// Receivers of a frame on a radio channel, as indices of stations.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(from = "StoredDestination", into = "StoredDestination")]
 pub enum Destination {
     /// One station, by unicast: acknowledged, and retransmitted up to the retry limit.
     One(u16),
@@ -21,8 +23,33 @@ pub enum Destination {
     Many(Arc<[u16]>),
 }
 
+/// Receivers of a frame as they are stored.
+#[derive(Serialize, Deserialize)]
+enum StoredDestination {
+    One(u16),
+    Many(Vec<u16>),
+}
+
+impl From<Destination> for StoredDestination {
+    fn from(to: Destination) -> StoredDestination {
+        match to {
+            Destination::One(to) => StoredDestination::One(to),
+            Destination::Many(all) => StoredDestination::Many(all.to_vec()),
+        }
+    }
+}
+
+impl From<StoredDestination> for Destination {
+    fn from(to: StoredDestination) -> Destination {
+        match to {
+            StoredDestination::One(to) => Destination::One(to),
+            StoredDestination::Many(all) => Destination::Many(all.into()),
+        }
+    }
+}
+
 /// Part of a frame's way to its receivers that one transmission covers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Hop {
     /// From the sending station directly to the receivers, without an access point.
     Direct,
@@ -35,7 +62,7 @@ pub(super) enum Hop {
 }
 
 /// Frame in the transmit queue of a station or of the access point.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct QueuedFrame<T> {
     /// Part of the frame's way that its next transmission covers, such as from the station to the access point.
     pub hop: Hop,
@@ -74,7 +101,7 @@ impl<T> QueuedFrame<T> {
 }
 
 /// State of one station of a radio channel: its transmit queue, contention window and backoff counter.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Station<T> {
     /// Frames that wait for transmission, the next one first.
     pub queue: VecDeque<QueuedFrame<T>>,
