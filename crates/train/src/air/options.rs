@@ -43,8 +43,8 @@ pub struct Options {
     pub radio: Option<Radio>,
 }
 
-/// Loss in bursts (Gilbert, Bell System Technical Journal 39, 1960; Elliott, 42, 1963): from each sender to each receiver
-/// there are good times, and bad ones in which nothing arrives. Both are distributed geometrically over steps.
+/// Loss in bursts (Gilbert, Bell System Technical Journal 39, 1960; Elliott, 42, 1963): from each sender to each
+/// receiver there are good times, and bad ones in which nothing arrives. Both are distributed geometrically over steps.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Bursts {
     /// Share of bad times, 0 to below 1.
