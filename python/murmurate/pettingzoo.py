@@ -1,15 +1,18 @@
-"""One team as a parallel environment of PettingZoo (``pip install pettingzoo gymnasium``)."""
+"""One team as a parallel environment of PettingZoo (``pip install pettingzoo gymnasium``); and messages with delay, loss and
+contention for parallel environments of others, by a wrapper."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
+from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 from ._faces import NO_MESSAGES, Begun, action_of, refuse, seen
-from ._module import VecEnv
+from ._module import Channel, VecEnv
 from ._scenario import Task
 
 #: Arguments of :class:`murmurate.VecEnv` that are not for this face, and why.
@@ -116,3 +119,105 @@ class parallel_env(ParallelEnv):
 
     def _by_agent(self, values):
         return dict(zip(self.possible_agents, values))
+
+
+class messages(BaseParallelWrapper):
+    """Lets the agents of a parallel environment say something to each other, over a :class:`murmurate.Channel`.
+
+    An action is a dictionary: ``action`` is that of the environment, ``message`` (M) what the agent says. An observation is a
+    dictionary, too: ``observation`` is that of the environment. By index in ``possible_agents``, ``messages`` (R, M), ``heard``
+    (R) and ``age`` (R) are the newest message that the agent has of each other one, whether there is one, and the time since
+    it was sent [s]. Agents that have left say nothing. The environment itself does not know of messages::
+
+        env = messages(simple_spread_v3.parallel_env(), 4, loss=0.2, delay_s=0.05)
+
+    Args:
+        env: Parallel environment; its agents are among ``possible_agents``.
+        floats: Number of floats M of a message.
+        position: Function of the environment that returns the positions of the possible agents [m] (R, 2); needed with
+            ``range_m`` or a radio with a range.
+        bytes: Length of a datagram [bytes]; None is 4 for each float, and 40 for all else that a team says of itself.
+        options: Arguments of the channel, without ``num_envs``, ``num_robots``, ``content`` and ``threads``.
+
+    Raises:
+        ValueError: An argument is wrong; the message names it.
+    """
+
+    def __init__(
+        self,
+        env: ParallelEnv,
+        floats: int,
+        *,
+        position: Callable[[ParallelEnv], np.ndarray] | None = None,
+        bytes: int | None = None,
+        **options: Any,
+    ) -> None:
+        taken = "it is that of the environment"
+        refuse(options, {"num_envs": taken, "num_robots": taken, "content": taken, "threads": "one team needs one thread"})
+        super().__init__(env)
+        r = len(env.possible_agents)
+        self.channel = Channel(1, r, content=floats, **options)
+        self._position, self._bytes = position, 40 + 4 * floats if bytes is None else bytes
+        box = lambda least, *shape: spaces.Box(least, np.inf, shape, np.float32)
+        self._spoken = {
+            agent: spaces.Dict({"action": env.action_space(agent), "message": box(-np.inf, floats)})
+            for agent in env.possible_agents
+        }
+        self._observed = {
+            agent: spaces.Dict(
+                {
+                    "observation": env.observation_space(agent),
+                    "messages": box(-np.inf, r, floats),
+                    "heard": spaces.MultiBinary(r),
+                    "age": box(0.0, r),
+                }
+            )
+            for agent in env.possible_agents
+        }
+
+    def observation_space(self, agent: str) -> spaces.Dict:
+        return self._observed[agent]
+
+    def action_space(self, agent: str) -> spaces.Dict:
+        return self._spoken[agent]
+
+    def reset(self, seed: int | None = None, options: dict | None = None):
+        observations, infos = self.env.reset(seed=seed, options=options)
+        self.channel.reset(seed=seed)
+        return self._with_messages(observations), infos
+
+    def step(self, actions: dict[str, dict[str, np.ndarray]]):
+        """Sends the messages and advances the environment.
+
+        Raises:
+            ValueError: An action has no message of M finite numbers; the message names the agent.
+        """
+        said, sends = np.zeros_like(self.channel.said[:, 0]), []
+        for robot, agent in enumerate(self.env.possible_agents):
+            sends.append(agent in self.env.agents and agent in actions)
+            if sends[-1]:
+                said[0, robot] = _message_of(agent, actions[agent], said.shape[2:])
+        position = None if self._position is None else np.ascontiguousarray(self._position(self.env), np.float32)[None]
+        observations, *rest = self.env.step({agent: action["action"] for agent, action in actions.items()})
+        self.channel.step(position, sends=np.array([sends]), bytes=self._bytes, content=said)
+        return self._with_messages(observations), *rest
+
+    def _with_messages(self, observations: dict[str, Any]) -> dict[str, dict[str, Any]]:
+        channel = self.channel
+        heard = {
+            agent: {
+                "messages": channel.said[0, robot].copy(),
+                "heard": channel.heard[0, robot].astype(np.int8),
+                "age": channel.age[0, robot].copy(),
+            }
+            for robot, agent in enumerate(self.env.possible_agents)
+        }
+        return {agent: {"observation": observation, **heard[agent]} for agent, observation in observations.items()}
+
+
+def _message_of(agent: str, action: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """The message in an action."""
+    for key in ("action", "message"):
+        if not isinstance(action, dict) or key not in action:
+            raise ValueError(f"actions['{agent}']: '{key}' is missing; it is a dictionary of 'action' and 'message'")
+    return action_of(f"actions['{agent}']['message']", action["message"], shape)

@@ -1,18 +1,20 @@
-"""Many teams as an environment of TorchRL (``pip install torchrl``), with resets of single teams by a mask."""
+"""Many teams as an environment of TorchRL (``pip install torchrl``), with resets of single teams by a mask; and messages
+with delay, loss and contention for environments of others, by a transform."""
 
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
-from torchrl.envs import EnvBase
+from torchrl.envs import EnvBase, Transform
 
 from ._faces import Begun, refuse
-from ._module import VecEnv
+from ._module import Channel, VecEnv
 from ._scenario import Task
 
 
@@ -101,3 +103,109 @@ class Env(EnvBase):
         truncated = torch.from_numpy(core.truncated).clone().unsqueeze(-1)
         ended = {"done": terminated | truncated, "terminated": terminated, "truncated": truncated}
         return TensorDict({"agents": TensorDict(self._seen() | {"reward": reward}, (n, r)), **ended}, (n,)).to(self.device)
+
+
+class Messages(Transform):
+    """Lets the agents of an environment say something to each other, over a :class:`murmurate.Channel`.
+
+    The policy writes one more action, ``(group, "message")`` (N, R, M): what each of the R agents says. In the next step each
+    one observes ``(group, "messages")`` (N, R, R, M), ``(group, "heard")`` and ``(group, "age")`` (N, R, R): the newest
+    message that it has of each other one, whether there is one, and the time since it was sent [s]. All are by receiver and
+    then by sender. The environment itself does not know of messages::
+
+        env = TransformedEnv(VmasEnv("navigation", num_envs=64), Messages(8, radio="wifi", position=positions_of))
+
+    Args:
+        floats: Number of floats M of a message.
+        group: Key of the agents' part of a tensordict.
+        position: Function of the environment without transforms that returns the positions of the agents [m] (N, R, 2);
+            needed with ``range_m`` or a radio with a range. :func:`positions_of` is that of VMAS.
+        bytes: Length of a datagram [bytes]; None is 4 for each float, and 40 for all else that a team says of itself.
+        send_key: Key of a bool (N, R) in the group, which the policy writes as well: whether an agent sends. None: all do.
+        options: Arguments of the channel, without ``num_envs``, ``num_robots`` and ``content``.
+
+    Raises:
+        ValueError: An argument is wrong, or the environment has no batch of one dimension with such a group.
+    """
+
+    def __init__(
+        self,
+        floats: int,
+        *,
+        group: str = "agents",
+        position: Callable[[EnvBase], torch.Tensor] | None = None,
+        bytes: int | None = None,
+        send_key: str | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(in_keys=[], out_keys=[(group, key) for key in ("messages", "heard", "age")])
+        for taken in ("num_envs", "num_robots", "content"):
+            if taken in options:
+                raise ValueError(f"{taken}: it is that of the environment; leave it out")
+        self.floats, self.group, self.position = floats, group, position
+        self.bytes = 40 + 4 * floats if bytes is None else bytes
+        self.send_key, self.options = send_key, options
+        self.channel: Channel | None = None
+        self._placed: np.ndarray | None = None
+
+    def _opened(self) -> Channel:
+        """The channel of the environment, which is made when it is first known how many agents there are."""
+        if self.channel is None:
+            base = self.parent.base_env
+            spec = base.full_observation_spec
+            shape = tuple(spec[self.group].shape) if self.group in spec.keys() else ()
+            if len(shape) != 2:
+                keys, batch = ", ".join(map(str, spec.keys())), tuple(base.batch_size)
+                why = f"the environment has no agents (N, R) under '{self.group}', but {keys} and a batch of {batch}"
+                raise ValueError(f"group: {why}")
+            self.channel = Channel(*shape, content=self.floats, **self.options)
+        return self.channel
+
+    def _heard(self, tensordict: TensorDictBase) -> TensorDictBase:
+        channel = self._opened()
+        for key, array in (("messages", channel.said), ("heard", channel.heard), ("age", channel.age)):
+            tensordict.set((self.group, key), torch.from_numpy(array).clone().to(self.parent.device))
+        return tensordict
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        channel, numpy = self._opened(), lambda value: np.ascontiguousarray(value.detach().cpu().numpy())
+        said = numpy(tensordict.get((self.group, "message")).to(torch.float32))
+        sends = None if self.send_key is None else numpy(tensordict.get((self.group, self.send_key)).bool())
+        channel.step(self._placed, sends=sends, bytes=self.bytes, content=said)
+        return self._heard(next_tensordict)
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        # Before the environment moves: who hears whom is decided where they speak.
+        if self.position is not None and self.parent is not None:
+            placed = self.position(self.parent.base_env).detach().cpu().numpy()
+            self._placed = np.array(placed, np.float32, order="C")
+        return tensordict
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        mask = tensordict.get("_reset", None) if tensordict is not None else None
+        self._opened().reset(None if mask is None else np.ascontiguousarray(mask.squeeze(-1).cpu().numpy()))
+        return self._heard(tensordict_reset)
+
+    def transform_input_spec(self, input_spec: Composite) -> Composite:
+        n, r = self._opened().heard.shape[:2]
+        device, acted = self.parent.device, input_spec["full_action_spec", self.group]
+        acted["message"] = Unbounded((n, r, self.floats), device=device)
+        if self.send_key is not None:
+            acted[self.send_key] = Categorical(2, shape=(n, r), dtype=torch.bool, device=device)
+        return input_spec
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        n, r = self._opened().heard.shape[:2]
+        device, observed = self.parent.device, observation_spec[self.group]
+        observed["messages"] = Unbounded((n, r, r, self.floats), device=device)
+        observed["heard"] = Binary(n=r, shape=(n, r, r), dtype=torch.bool, device=device)
+        observed["age"] = Unbounded((n, r, r), device=device)
+        return observation_spec
+
+    def _set_seed(self, seed: int | None) -> None:
+        self._opened().reset(seed=0 if seed is None else int(seed))
+
+
+def positions_of(env: EnvBase) -> torch.Tensor:
+    """Positions [m] (N, R, 2) of the agents of an environment of VMAS, for :class:`Messages`."""
+    return torch.stack([agent.state.pos for agent in env.agents], 1)

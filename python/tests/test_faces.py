@@ -20,6 +20,58 @@ def test_pettingzoo():
     parallel_seed_test(lambda: parallel_env(conditions="late"), num_cycles=200)
 
 
+@pytest.mark.parametrize("task", ["passage", "simple_spread_v3", "simple_tag_v3"])
+def test_messages_of_pettingzoo(task):
+    need("pettingzoo")
+    from pettingzoo.test import parallel_api_test, parallel_seed_test
+
+    from murmurate.pettingzoo import messages, parallel_env
+
+    made = parallel_env if task == "passage" else need(f"mpe2.{task}").parallel_env
+    parallel_api_test(messages(made(), 4, loss=0.2, delay_s=(0.0, 0.1)), num_cycles=200)
+    parallel_seed_test(lambda: messages(made(), 4, loss=0.2, radio="wifi"), num_cycles=100)
+    env = messages(made(), 2)
+    env.reset(seed=1)
+    agents = env.agents
+    silent = {agent: env.action_space(agent)["action"].sample() for agent in agents}
+    for robot, agent in enumerate(agents):
+        silent[agent] = {"action": silent[agent], "message": np.array([robot, 7], np.float32)}
+    seen = env.step(silent)[0][agents[1]]
+    assert seen["heard"].tolist() == [int(robot != 1) for robot in range(len(agents))]
+    assert seen["messages"][:, 0].tolist() == [0.0 if robot == 1 else robot for robot in range(len(agents))]
+    with pytest.raises(ValueError, match="'message' is missing"):
+        env.step({agent: {"action": action["action"]} for agent, action in silent.items()})
+
+
+@pytest.mark.parametrize("task", ["passage", "navigation", "balance", "discovery"])
+def test_messages_of_torchrl(task):
+    need("torchrl")
+    from torchrl.envs import TransformedEnv
+    from torchrl.envs.utils import check_env_specs
+
+    from murmurate.torchrl import Env, Messages, positions_of
+
+    if task == "passage":
+        base, options = Env(task, 6, seed=3, episode_s=0.5), {"loss": 0.3, "send_key": "speaks"}
+    else:
+        need("vmas")
+        from torchrl.envs.libs.vmas import VmasEnv
+
+        base = VmasEnv(task, num_envs=6, max_steps=7, seed=0)
+        options = {"radio": "wifi", "spread_s": 0.02, "range_m": 1.0, "position": positions_of}
+    env = TransformedEnv(base, Messages(5, **options))
+    check_env_specs(env)
+    rolled = env.rollout(12, break_when_any_done=False)
+    heard, said = rolled["next", "agents", "heard"], rolled["agents", "message"]
+    assert 0.05 < heard.float().mean() < 0.95
+    first = rolled["next", "agents", "messages"][:, 0]
+    sent = said[:, 0].unsqueeze(1).expand_as(first)
+    assert (first[heard[:, 0]] == sent[heard[:, 0]]).all() and not first[~heard[:, 0]].any()
+    copied = TransformedEnv(base, Messages(5, group="robots"))
+    with pytest.raises(ValueError, match="group: the environment has no agents"):
+        copied.rollout(1)
+
+
 def test_gymnasium():
     need("gymnasium")
     from gymnasium.vector import AutoresetMode
