@@ -4,20 +4,25 @@ Observations and actions of a team's robots are joined; the reward is the mean o
 follow each robot's observation, and so does what a task in Python observes. Once this module is imported,
 ``gymnasium.make`` and ``gymnasium.make_vec`` know ``murmurate/Passage-v0``, ``murmurate/Swap-v0`` and
 ``murmurate/Flocking-v0``; ``gymnasium.make("murmurate.gymnasium:murmurate/Passage-v0")`` imports it.
+
+:class:`Messages` and :class:`VectorMessages` let the robots of an environment say something to each other, with delay, loss and
+contention.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
 from ._faces import NO_MESSAGES, Begun, action_of, refuse, seen
 from ._module import VecEnv
 from ._scenario import Task
+from ._spoken import Spoken
 
 #: Treatment of an ended episode, as Gymnasium names it.
 MODES = {
@@ -184,6 +189,115 @@ class TeamEnv(gymnasium.Env):
     def render(self) -> np.ndarray | None:
         """Picture of the team (height, width, 3), with ``render_mode="rgb_array"``."""
         return self.core.render() if self.render_mode else None
+
+
+class Messages(gymnasium.Wrapper):
+    """Lets the R robots of one team say something to each other, over a :class:`murmurate.Channel`.
+
+    An action is a dictionary of ``action``, that of the environment, and ``message`` (R, M). An observation has ``observation``,
+    and by receiver and then by sender ``messages`` (R, R, M), ``heard`` and ``age`` (R, R): the newest message that a robot has of
+    another one, whether there is one, and the time since it was sent [s]. The environment itself does not know of messages.
+
+    Args:
+        env: Environment of one team.
+        num_robots: Number of robots R.
+        floats: Number of floats M of a message.
+        position: Function of the environment that returns the positions of the robots [m] (R, 2); needed with ``range_m`` or a
+            radio with a range.
+        bytes: Length of a datagram [bytes]; None is 4 for each float, and 40 for all else that a team says of itself.
+        options: Further arguments of the channel.
+
+    Raises:
+        ValueError: An argument is wrong; the message names it.
+    """
+
+    def __init__(
+        self,
+        env: gymnasium.Env,
+        num_robots: int,
+        floats: int,
+        *,
+        position: Callable[[gymnasium.Env], np.ndarray] | None = None,
+        bytes: int | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(env)
+        self.spoken = Spoken((1, num_robots, floats), position and (lambda: position(env)), bytes, options)
+        self.action_space = self.spoken.actions(env.action_space, one=True)
+        self.observation_space = self.spoken.observations(env.observation_space, one=True)
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None):
+        observation, info = self.env.reset(seed=seed, options=options)
+        self.spoken.channel.reset(seed=seed)
+        return self.spoken.seen(observation, one=True), info
+
+    def step(self, action: dict[str, Any]):
+        """Sends the messages and advances the team.
+
+        Raises:
+            ValueError: An entry of the action is missing or wrong; the message names it.
+        """
+        own, said = self.spoken.said(action, one=True)
+        placed = self.spoken.placed()
+        observation, *rest = self.env.step(own)
+        self.spoken.send(placed, said)
+        return self.spoken.seen(observation, one=True), *rest
+
+
+class VectorMessages(VectorWrapper):
+    """:class:`Messages` for N teams at once, in any mode of automatic resets. Its arguments are those of that class.
+
+    With resets in the same step, ``infos["final_obs"]`` has the last observations with what was heard.
+    """
+
+    def __init__(
+        self,
+        env: VectorEnv,
+        num_robots: int,
+        floats: int,
+        *,
+        position: Callable[[VectorEnv], np.ndarray] | None = None,
+        bytes: int | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(env)
+        spoken = Spoken((env.num_envs, num_robots, floats), position and (lambda: position(env)), bytes, options)
+        self.spoken, self._mode = spoken, env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP)
+        self._ended = np.zeros(env.num_envs, bool)
+        self.single_action_space = spoken.actions(env.single_action_space, one=True)
+        self.action_space = spoken.actions(env.action_space, one=False)
+        self.single_observation_space = spoken.observations(env.single_observation_space, one=True)
+        self.observation_space = spoken.observations(env.observation_space, one=False)
+
+    def reset(self, *, seed: int | list[int] | None = None, options: dict | None = None):
+        observation, infos = self.env.reset(seed=seed, options=options)
+        mask = (options or {}).get("reset_mask")
+        if mask is None and isinstance(seed, int):
+            self.spoken.channel.reset(seed=seed)
+        else:
+            self.spoken.channel.reset(mask)
+        self._ended &= False if mask is None else ~mask
+        return self.spoken.seen(observation, one=False), infos
+
+    def step(self, actions: dict[str, Any]):
+        """Sends the messages and advances all teams.
+
+        Raises:
+            ValueError: An entry of the actions is missing or wrong; the message names it.
+        """
+        spoken = self.spoken
+        own, said = spoken.said(actions, one=False)
+        placed = spoken.placed()
+        observation, reward, terminated, truncated, infos = self.env.step(own)
+        spoken.send(placed, said)
+        ended = terminated | truncated
+        begins = ended if self._mode is AutoresetMode.SAME_STEP else self._ended & (self._mode is AutoresetMode.NEXT_STEP)
+        if begins.any():
+            if "final_obs" in infos:
+                infos = {**infos, "final_obs": spoken.seen(infos["final_obs"], one=False)}
+            spoken.channel.reset(np.ascontiguousarray(begins))
+        self._ended = ended
+        return spoken.seen(observation, one=False), reward, terminated, truncated, infos
 
 
 for _scenario, _name in NAMES.items():

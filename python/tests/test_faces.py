@@ -99,6 +99,39 @@ def test_gymnasium():
         env.reset(seed=[1, 2])
 
 
+def test_messages_of_gymnasium():
+    need("gymnasium")
+    import gymnasium
+    from gymnasium.utils.env_checker import check_env
+
+    from murmurate.gymnasium import Messages, TeamEnv, TeamVectorEnv, VectorMessages
+
+    check_env(Messages(TeamEnv(episode_s=2.0), 5, 3, loss=0.2, delay_s=(0.0, 0.1)), skip_render_check=True)
+    with pytest.raises(ValueError, match="num_envs: it is that of the environment"):
+        Messages(TeamEnv(), 5, 3, num_envs=2)
+    for mode in ("same-step", "next-step", "disabled"):
+        env = VectorMessages(TeamVectorEnv("passage", 4, episode_s=0.25, autoreset=mode), 5, 2)
+        first, _ = env.reset(seed=3)
+        assert first in env.observation_space and not first["heard"].any()
+        own = env.action_space["action"].sample() * 0
+        counts = []
+        for step in range(7):
+            if mode == "disabled" and step == 5:
+                env.reset(options={"reset_mask": np.ones(4, bool)})
+            message = np.full((4, 5, 2), step, np.float32)
+            seen, _, _, truncated, infos = env.step({"action": own, "message": message})
+            assert seen in env.observation_space
+            assert (seen["messages"][seen["heard"].astype(bool)] == step).all()
+            counts.append(int(seen["heard"].sum()))
+            if truncated.any() and mode == "same-step":
+                assert infos["final_obs"]["heard"].sum() == 80 and infos["_final_obs"].all()
+        began = {"same-step": [80, 80, 80, 80, 0, 80, 80], "next-step": [80] * 5 + [0, 80], "disabled": [80] * 7}
+        assert counts == began[mode], mode
+    with pytest.raises(ValueError, match="'message' is missing"):
+        env.step({"action": own})
+    assert gymnasium.vector.utils.batch_space(env.single_action_space, 4) == env.action_space
+
+
 @pytest.mark.parametrize("message", [None, "observations", "action"])
 @pytest.mark.parametrize("conditions", ["perfect", "late"])
 def test_torchrl(message, conditions):
