@@ -204,11 +204,11 @@ mod tests {
         // The mean of x² + y² over a square from -3 to 3 is 2 · 3² / 3.
         assert!((cost(2.0, &square, &[Vec2::zeros()]) - 12.0).abs() < 0.05);
         let halves = [Vec2::new(-1.5, 0.0), Vec2::new(1.5, 0.0)];
-        assert!((cost(1.0, &square, &halves) - (0.75 + 3.0)).abs() < 0.02, "each covers its half");
+        assert!((cost(1.0, &square, &halves) - (0.75 + 3.0)).abs() < 0.03, "each covers its half");
         assert_eq!(cost(0.0, &square, &halves), 0.0);
         let block = KeepOut::rect(Vec2::new(0.0, -3.0), Vec2::new(3.0, 3.0));
         let half = Arena::new(Vec2::new(3.0, 3.0), vec![block], 0.1);
-        assert!((cost(1.0, &half, &halves[..1]) - (0.75 + 3.0)).abs() < 0.02, "a block need not be covered");
+        assert!((cost(1.0, &half, &halves[..1]) - (0.75 + 3.0)).abs() < 0.03, "a block need not be covered");
     }
 
     #[test]

@@ -231,7 +231,9 @@ mod tests {
         assert_eq!(bytes[31..34], [255, 255, 0]);
         assert_eq!(bytes[34..40], [0, 0, 1, 0, 12, 7]);
         assert_eq!([number(40), number(42)], [-1500, 500]);
-        assert_eq!(super::movers(&bytes, scale_m(32.0)).collect::<Vec<_>>(), [[-1.5, 0.5]]);
+        let read: Vec<[i32; 2]> =
+            super::movers(&bytes, scale_m(32.0)).map(|at| at.map(|float| (1000.0 * float).round() as i32)).collect();
+        assert_eq!(read, [[-1500, 500]]);
         assert_eq!(bytes[44..48], [1, 0, 2, 0]);
         assert_eq!([number(48), number(50), number(52)], [1000, -2000, -5000]);
         assert_eq!(bytes[54..], [3, 0, 0xd3, 4, 255, 255, 255, 255], "1235 mm, and nothing seen");
