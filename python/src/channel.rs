@@ -1,19 +1,19 @@
 //! The class `Channel`: delay, loss and contention of the messages of many teams, on numpy buffers that it owns.
 
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
 use murmurate::net::media::radio::{self, Radio};
 use murmurate_train::air::{Air, Buffers, Bursts, Given as Step, Options, options_of};
 use numpy::PyArrayDyn;
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
-use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::{PyBytes, PyTuple};
 
 use crate::arguments::{Given, Seed, number_f64 as number, text, whole, wrong};
 use crate::arrays::{finite, opened, values, zeros};
 use crate::memory;
+use crate::turn::{Turn, bytes_of};
 
 /// Text of the error after a defect.
 const PANICKED: &str = "a step of this channel has panicked before, a defect of murmurate; make a new one";
@@ -63,15 +63,6 @@ macro_rules! with_buffers {
     }};
 }
 
-/// Mark that a thread works on the channel; dropping it takes it away.
-struct Turn<'a>(&'a AtomicBool);
-
-impl Drop for Turn<'_> {
-    fn drop(&mut self) {
-        self.0.store(false, Ordering::Release);
-    }
-}
-
 impl Channel {
     /// Makes a channel around this air, whose options are checked.
     fn made(py: Python<'_>, air: Air) -> PyResult<Channel> {
@@ -98,11 +89,7 @@ impl Channel {
 
     /// Keeps out other threads until the result is dropped. If one works on the channel, that is an error.
     fn turn(&self, what: &str) -> PyResult<Turn<'_>> {
-        if self.busy.swap(true, Ordering::Acquire) {
-            let why = "another thread is in a step, a reset or a state of this channel; give each thread its own";
-            return Err(PyRuntimeError::new_err(format!("{what}: {why}")));
-        }
-        Ok(Turn(&self.busy))
+        Turn::of(&self.busy, (what, "channel"))
     }
 }
 
@@ -332,9 +319,4 @@ fn lengths_of(given: Given, shape: [usize; 2]) -> PyResult<Vec<u32>> {
         Some(at) => Err(wrong("bytes", format!("the value at flat index {at} is {}, not 1 to {MOST}", lengths[at]))),
         None => Ok(lengths.iter().map(|length| *length as u32).collect()),
     }
-}
-
-/// Returns the bytes of a state.
-fn bytes_of(state: &Bound<'_, PyAny>) -> PyResult<PyBackedBytes> {
-    state.extract().map_err(|_| wrong("state", format!("a {} is not what state() returns", state.get_type())))
 }

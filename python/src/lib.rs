@@ -9,6 +9,7 @@ mod picture;
 mod program;
 mod task;
 mod tasked;
+mod turn;
 mod vec_env;
 
 use std::sync::OnceLock;

@@ -8,7 +8,6 @@ use murmurate_train::vector::{Autoreset, Buffers, Content, Options, VectorEnviro
 use numpy::{PyArray1, PyArray3, PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
-use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::{PyBytes, PyTuple};
 
 use crate::arguments::{Arguments, Given, Seed, whole, wrong};
@@ -17,6 +16,7 @@ use crate::memory;
 use crate::picture::Picture;
 use crate::task::PythonTask;
 use crate::tasked::{Begins, core_of};
+use crate::turn::{Turn, bytes_of};
 
 /// Vectorised environment of one scenario: N teams of R robots each, advanced together, with results in numpy arrays
 /// that every step writes again. docs/python.md describes the arrays.
@@ -75,15 +75,6 @@ pub struct VecEnv {
     pub(crate) last_observed: Py<PyArrayDyn<f32>>,
     /// Task in Python; `None` for another scenario.
     pub(crate) task: Option<Arc<PythonTask>>,
-}
-
-/// Mark that a thread works on the environments; dropping it takes it away.
-struct Turn<'a>(&'a AtomicBool);
-
-impl Drop for Turn<'_> {
-    fn drop(&mut self) {
-        self.0.store(false, Ordering::Release);
-    }
 }
 
 /// Opens all buffers of the environment for writing, as `Buffers`, and works on the environments without holding up
@@ -181,11 +172,7 @@ impl VecEnv {
 
     /// Keeps out other threads until the result is dropped. If one works on the environments, that is an error.
     fn turn(&self, what: &str) -> PyResult<Turn<'_>> {
-        if self.busy.swap(true, Ordering::Acquire) {
-            let why = "another thread is in a step, a reset or a state of this environment; give each thread its own";
-            return Err(PyRuntimeError::new_err(format!("{what}: {why}")));
-        }
-        Ok(Turn(&self.busy))
+        Turn::of(&self.busy, (what, "environment"))
     }
 }
 
@@ -506,9 +493,4 @@ impl VecEnv {
         self.seed.store(seed.map_err(|error| wrong("state", error))?, Ordering::Relaxed);
         Ok(())
     }
-}
-
-/// Returns the bytes of a state.
-fn bytes_of(state: &Bound<'_, PyAny>) -> PyResult<PyBackedBytes> {
-    state.extract().map_err(|_| wrong("state", format!("a {} is not what state() returns", state.get_type())))
 }
