@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ._module import VecEnv
+from ._module import Channel, VecEnv
 
 #: Arguments of :class:`murmurate.VecEnv` that a face without messages does not take, and why.
 NO_MESSAGES = dict.fromkeys(("message", "message_size"), "no messages arrive here; take VecEnv or murmurate.torchrl.Env")
@@ -29,6 +29,48 @@ def refuse(options: Mapping[str, Any], why: Mapping[str, str]) -> None:
     for name, reason in why.items():
         if name in options:
             raise ValueError(f"{name}: {reason}")
+
+
+class Spoken:
+    """Channel of a face for environments of others: what N teams of R robots say in M floats.
+
+    Without a seed one is drawn, as everywhere in the faces.
+
+    Args:
+        size: Numbers N, R and M.
+        placed: Whether ``send`` gets positions.
+        length: Length of a datagram [bytes]; None is 4 for each float, and 40 for all else that a team says of itself.
+        options: Further arguments of :class:`murmurate.Channel`.
+
+    Raises:
+        ValueError: An argument is wrong, or positions are needed and there are none; the message names it.
+    """
+
+    def __init__(
+        self,
+        size: tuple[int, int, int],
+        placed: bool,
+        length: int | None,
+        options: Mapping[str, Any],
+    ) -> None:
+        taken = "it is that of the environment"
+        refuse(options, {"num_envs": taken, "num_robots": taken, "content": "it is the argument 'floats'"})
+        self.size = size
+        self._length = 40 + 4 * size[2] if length is None else length
+        self.channel = Channel(*size[:2], content=size[2], **{"seed": None, **options})
+        if self.channel.needs_position and not placed:
+            raise ValueError("position: it is missing; who hears whom depends on it")
+
+    def send(self, said: np.ndarray, position: Any = None, *, sends: np.ndarray | None = None) -> None:
+        """Sends messages (N, R, M) from the positions of all robots [m] (N, R, 2), and goes on by a period. It is to be called
+        before the environment moves, so that a wrong message changes nothing there.
+
+        Raises:
+            ValueError: A message is not finite, or positions have another shape.
+        """
+        if position is not None:
+            position = np.array(position, np.float32, order="C").reshape(*self.size[:2], 2)
+        self.channel.step(position, sends=sends, bytes=self._length, content=said)
 
 
 class Begun:

@@ -45,6 +45,7 @@ class Channel:
         num_robots: Number of robots R.
         period_s: Duration of a step [s].
         hold_s: Age up to which a message counts [s].
+        needs_position: Whether ``step`` needs positions: there is a range.
     """
 
     heard: NDArray[np.bool_]
@@ -55,6 +56,7 @@ class Channel:
     num_robots: int
     period_s: float
     hold_s: float
+    needs_position: bool
     def __init__(
         self,
         num_envs: int,

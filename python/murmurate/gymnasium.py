@@ -22,7 +22,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from ._faces import NO_MESSAGES, Begun, action_of, refuse, seen
 from ._module import VecEnv
 from ._scenario import Task
-from ._spoken import Spoken
+from ._spoken import TeamSpoken
 
 #: Treatment of an ended episode, as Gymnasium names it.
 MODES = {
@@ -222,13 +222,14 @@ class Messages(gymnasium.Wrapper):
         **options: Any,
     ) -> None:
         super().__init__(env)
-        self.spoken = Spoken((1, num_robots, floats), position and (lambda: position(env)), bytes, options)
+        self.spoken = TeamSpoken((1, num_robots, floats), position is not None, bytes, options)
+        self._position = position
         self.action_space = self.spoken.actions(env.action_space, one=True)
         self.observation_space = self.spoken.observations(env.observation_space, one=True)
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         observation, info = self.env.reset(seed=seed, options=options)
-        self.spoken.channel.reset(seed=seed)
+        self.spoken.channel.reset(seed=None if seed is None else int(seed))
         return self.spoken.seen(observation, one=True), info
 
     def step(self, action: dict[str, Any]):
@@ -237,10 +238,7 @@ class Messages(gymnasium.Wrapper):
         Raises:
             ValueError: An entry of the action is missing or wrong; the message names it.
         """
-        own, said = self.spoken.said(action, one=True)
-        placed = self.spoken.placed()
-        observation, *rest = self.env.step(own)
-        self.spoken.send(placed, said)
+        observation, *rest = self.env.step(self.spoken.speak(action, self._position and self._position(self.env), one=True))
         return self.spoken.seen(observation, one=True), *rest
 
 
@@ -261,7 +259,8 @@ class VectorMessages(VectorWrapper):
         **options: Any,
     ) -> None:
         super().__init__(env)
-        spoken = Spoken((env.num_envs, num_robots, floats), position and (lambda: position(env)), bytes, options)
+        spoken = TeamSpoken((env.num_envs, num_robots, floats), position is not None, bytes, options)
+        self._position = position
         self.spoken, self._mode = spoken, env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP)
         self._ended = np.zeros(env.num_envs, bool)
         self.single_action_space = spoken.actions(env.single_action_space, one=True)
@@ -272,8 +271,8 @@ class VectorMessages(VectorWrapper):
     def reset(self, *, seed: int | list[int] | None = None, options: dict | None = None):
         observation, infos = self.env.reset(seed=seed, options=options)
         mask = (options or {}).get("reset_mask")
-        if mask is None and isinstance(seed, int):
-            self.spoken.channel.reset(seed=seed)
+        if mask is None and isinstance(seed, (int, np.integer)):
+            self.spoken.channel.reset(seed=int(seed))
         else:
             self.spoken.channel.reset(mask)
         self._ended &= False if mask is None else ~mask
@@ -286,10 +285,8 @@ class VectorMessages(VectorWrapper):
             ValueError: An entry of the actions is missing or wrong; the message names it.
         """
         spoken = self.spoken
-        own, said = spoken.said(actions, one=False)
-        placed = spoken.placed()
+        own = spoken.speak(actions, self._position and self._position(self.env), one=False)
         observation, reward, terminated, truncated, infos = self.env.step(own)
-        spoken.send(placed, said)
         ended = terminated | truncated
         begins = ended if self._mode is AutoresetMode.SAME_STEP else self._ended & (self._mode is AutoresetMode.NEXT_STEP)
         if begins.any():

@@ -11,8 +11,8 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
-from ._faces import NO_MESSAGES, Begun, action_of, refuse, seen
-from ._module import Channel, VecEnv
+from ._faces import NO_MESSAGES, Begun, Spoken, action_of, refuse, seen
+from ._module import VecEnv
 from ._scenario import Task
 
 #: Arguments of :class:`murmurate.VecEnv` that are not for this face, and why.
@@ -152,14 +152,13 @@ class messages(BaseParallelWrapper):
         bytes: int | None = None,
         **options: Any,
     ) -> None:
-        taken = "it is that of the environment"
-        refuse(options, {"num_envs": taken, "num_robots": taken, "content": taken, "threads": "one team needs one thread"})
+        refuse(options, {"threads": "one team needs one thread"})
         super().__init__(env)
         r = len(env.possible_agents)
-        self.channel = Channel(1, r, content=floats, **options)
-        self._position, self._bytes = position, 40 + 4 * floats if bytes is None else bytes
+        self.spoken = Spoken((1, r, floats), position is not None, bytes, options)
+        self._position = position
         box = lambda least, *shape: spaces.Box(least, np.inf, shape, np.float32)
-        self._spoken = {
+        self._acted = {
             agent: spaces.Dict({"action": env.action_space(agent), "message": box(-np.inf, floats)})
             for agent in env.possible_agents
         }
@@ -179,11 +178,11 @@ class messages(BaseParallelWrapper):
         return self._observed[agent]
 
     def action_space(self, agent: str) -> spaces.Dict:
-        return self._spoken[agent]
+        return self._acted[agent]
 
     def reset(self, seed: int | None = None, options: dict | None = None):
         observations, infos = self.env.reset(seed=seed, options=options)
-        self.channel.reset(seed=seed)
+        self.spoken.channel.reset(seed=None if seed is None else int(seed))
         return self._with_messages(observations), infos
 
     def step(self, actions: dict[str, dict[str, np.ndarray]]):
@@ -192,18 +191,17 @@ class messages(BaseParallelWrapper):
         Raises:
             ValueError: An action has no message of M finite numbers; the message names the agent.
         """
-        said, sends = np.zeros_like(self.channel.said[:, 0]), []
+        said, sends = np.zeros(self.spoken.size, np.float32), []
         for robot, agent in enumerate(self.env.possible_agents):
             sends.append(agent in self.env.agents and agent in actions)
             if sends[-1]:
                 said[0, robot] = _message_of(agent, actions[agent], said.shape[2:])
-        position = None if self._position is None else np.ascontiguousarray(self._position(self.env), np.float32)[None]
+        self.spoken.send(said, self._position and self._position(self.env), sends=np.array([sends]))
         observations, *rest = self.env.step({agent: action["action"] for agent, action in actions.items()})
-        self.channel.step(position, sends=np.array([sends]), bytes=self._bytes, content=said)
         return self._with_messages(observations), *rest
 
     def _with_messages(self, observations: dict[str, Any]) -> dict[str, dict[str, Any]]:
-        channel = self.channel
+        channel = self.spoken.channel
         heard = {
             agent: {
                 "messages": channel.said[0, robot].copy(),

@@ -13,8 +13,8 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase, Transform
 
-from ._faces import Begun, refuse
-from ._module import Channel, VecEnv
+from ._faces import Begun, Spoken, refuse
+from ._module import VecEnv
 from ._scenario import Task
 
 
@@ -122,7 +122,8 @@ class Messages(Transform):
             needed with ``range_m`` or a radio with a range. :func:`positions_of` is that of VMAS.
         bytes: Length of a datagram [bytes]; None is 4 for each float, and 40 for all else that a team says of itself.
         send_key: Key of a bool (N, R) in the group, which the policy writes as well: whether an agent sends. None: all do.
-        options: Arguments of the channel, without ``num_envs``, ``num_robots`` and ``content``.
+        options: Further arguments of the channel. Without ``seed`` its numbers follow those of torch at each reset of all
+            environments: ``torch.manual_seed`` and the environment's ``set_seed`` make rollouts equal.
 
     Raises:
         ValueError: An argument is wrong, or the environment has no batch of one dimension with such a group.
@@ -139,18 +140,14 @@ class Messages(Transform):
         **options: Any,
     ) -> None:
         super().__init__(in_keys=[], out_keys=[(group, key) for key in ("messages", "heard", "age")])
-        for taken in ("num_envs", "num_robots", "content"):
-            if taken in options:
-                raise ValueError(f"{taken}: it is that of the environment; leave it out")
         self.floats, self.group, self.position = floats, group, position
-        self.bytes = 40 + 4 * floats if bytes is None else bytes
-        self.send_key, self.options = send_key, options
-        self.channel: Channel | None = None
-        self._placed: np.ndarray | None = None
+        self.bytes, self.send_key, self.options = bytes, send_key, options
+        self._made: Spoken | None = None
 
-    def _opened(self) -> Channel:
+    @property
+    def spoken(self) -> Spoken:
         """The channel of the environment, which is made when it is first known how many agents there are."""
-        if self.channel is None:
+        if self._made is None:
             base = self.parent.base_env
             spec = base.full_observation_spec
             shape = tuple(spec[self.group].shape) if self.group in spec.keys() else ()
@@ -158,36 +155,43 @@ class Messages(Transform):
                 keys, batch = ", ".join(map(str, spec.keys())), tuple(base.batch_size)
                 why = f"the environment has no agents (N, R) under '{self.group}', but {keys} and a batch of {batch}"
                 raise ValueError(f"group: {why}")
-            self.channel = Channel(*shape, content=self.floats, **self.options)
-        return self.channel
+            self._made = Spoken((*shape, self.floats), self.position is not None, self.bytes, self.options)
+        return self._made
 
     def _heard(self, tensordict: TensorDictBase) -> TensorDictBase:
-        channel = self._opened()
+        channel = self.spoken.channel
         for key, array in (("messages", channel.said), ("heard", channel.heard), ("age", channel.age)):
             tensordict.set((self.group, key), torch.from_numpy(array).clone().to(self.parent.device))
         return tensordict
 
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        channel, numpy = self._opened(), lambda value: np.ascontiguousarray(value.detach().cpu().numpy())
-        said = numpy(tensordict.get((self.group, "message")).to(torch.float32))
-        sends = None if self.send_key is None else numpy(tensordict.get((self.group, self.send_key)).bool())
-        channel.step(self._placed, sends=sends, bytes=self.bytes, content=said)
-        return self._heard(next_tensordict)
-
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        # Before the environment moves: who hears whom is decided where they speak.
-        if self.position is not None and self.parent is not None:
-            placed = self.position(self.parent.base_env).detach().cpu().numpy()
-            self._placed = np.array(placed, np.float32, order="C")
+        # Before the environment moves. Without a message it is a call for specs or shapes, and no step.
+        message = tensordict.get((self.group, "message"), None)
+        if message is not None and self.parent is not None:
+            numpy = lambda value: np.ascontiguousarray(value.detach().cpu().numpy())
+            sends = None if self.send_key is None else numpy(tensordict.get((self.group, self.send_key)).bool())
+            position = None if self.position is None else numpy(self.position(self.parent.base_env))
+            self.spoken.send(numpy(message.to(torch.float32)), position, sends=sends)
         return tensordict
 
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return self._heard(next_tensordict)
+
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        mask = tensordict.get("_reset", None) if tensordict is not None else None
-        self._opened().reset(None if mask is None else np.ascontiguousarray(mask.squeeze(-1).cpu().numpy()))
+        channel, n = self.spoken.channel, self.spoken.size[0]
+        masks = [] if tensordict is None else [tensordict.get(key, None) for key in self.parent.reset_keys]
+        masks = [mask.reshape(n, -1).any(1) for mask in masks if mask is not None]
+        if masks:
+            channel.reset(torch.stack(masks).any(0).cpu().numpy())
+        elif self.options.get("seed") is None:
+            # The transform has no part in set_seed of the environment, whose seed is its own.
+            channel.reset(seed=int(torch.randint(2**62, (1,))))
+        else:
+            channel.reset()
         return self._heard(tensordict_reset)
 
     def transform_input_spec(self, input_spec: Composite) -> Composite:
-        n, r = self._opened().heard.shape[:2]
+        n, r = self.spoken.size[:2]
         device, acted = self.parent.device, input_spec["full_action_spec", self.group]
         acted["message"] = Unbounded((n, r, self.floats), device=device)
         if self.send_key is not None:
@@ -195,15 +199,12 @@ class Messages(Transform):
         return input_spec
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        n, r = self._opened().heard.shape[:2]
+        n, r = self.spoken.size[:2]
         device, observed = self.parent.device, observation_spec[self.group]
         observed["messages"] = Unbounded((n, r, r, self.floats), device=device)
         observed["heard"] = Binary(n=r, shape=(n, r, r), dtype=torch.bool, device=device)
         observed["age"] = Unbounded((n, r, r), device=device)
         return observation_spec
-
-    def _set_seed(self, seed: int | None) -> None:
-        self._opened().reset(seed=0 if seed is None else int(seed))
 
 
 def positions_of(env: EnvBase) -> torch.Tensor:

@@ -46,7 +46,7 @@ fn number(argument: &str, value: &Bound<'_, PyAny>, least: f64, most: f64) -> Py
 }
 
 /// Returns a number; its range is for the caller.
-pub fn number_f64(argument: &str, value: &Bound<'_, PyAny>) -> PyResult<f64> {
+pub fn float(argument: &str, value: &Bound<'_, PyAny>) -> PyResult<f64> {
     value.extract::<f64>().map_err(|_| wrong(argument, format!("{} is no number", shown(value))))
 }
 

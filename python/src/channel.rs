@@ -10,7 +10,7 @@ use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyTuple};
 
-use crate::arguments::{Given, Seed, number_f64 as number, text, whole, wrong};
+use crate::arguments::{Given, Seed, float, text, whole, wrong};
 use crate::arrays::{finite, opened, values, zeros};
 use crate::memory;
 use crate::turn::{Turn, bytes_of};
@@ -121,11 +121,14 @@ impl Channel {
         threads: Given<'_, '_>,
         seed: Option<Seed>,
     ) -> PyResult<Channel> {
-        let float = |argument, given: Given, otherwise| given.map_or(Ok(otherwise), |given| number(argument, given));
+        let or = |argument, given: Given, otherwise| given.map_or(Ok(otherwise), |given| float(argument, given));
         let count =
             |argument, given: Given, least, most| given.map_or(Ok(least), |given| whole(argument, given, least, most));
-        let period_s = float("period_s", period_s, 0.05)?;
-        let (share, mean_s) = (float("burst_share", burst_share, 0.0)?, float("burst_s", burst_s, 1.0)?);
+        let period_s = or("period_s", period_s, 0.05)?;
+        let (share, mean_s) = (or("burst_share", burst_share, 0.0)?, or("burst_s", burst_s, 1.0)?);
+        if burst_s.is_some() && share == 0.0 {
+            return Err(wrong("burst_s", "it has no effect without burst_share"));
+        }
         let options = Options {
             environments: whole("num_envs", num_envs, 1, 1_000_000)? as usize,
             robots: whole("num_robots", num_robots, 1, 1000)? as usize,
@@ -133,13 +136,13 @@ impl Channel {
             threads: count("threads", threads, 1, 1024)? as usize,
             seed: Seed::or_drawn(seed, py)?,
             period_s,
-            spread_s: float("spread_s", spread_s, 0.0)?,
-            hold_s: float("hold_s", hold_s, 1.0)?,
-            range_m: range_m.map(|range_m| number("range_m", range_m)).transpose()?.map(|range_m| range_m as f32),
-            loss: float("loss", loss, 0.0)?,
+            spread_s: or("spread_s", spread_s, 0.0)?,
+            hold_s: or("hold_s", hold_s, 1.0)?,
+            range_m: range_m.map(|range_m| float("range_m", range_m)).transpose()?.map(|range_m| range_m as f32),
+            loss: or("loss", loss, 0.0)?,
             bursts: (share != 0.0).then_some(Bursts { share, mean_s }),
             delay_s: delay_s.map_or(Ok([0.0; 2]), delay_of)?,
-            tail_s: float("tail_s", tail_s, 0.0)?,
+            tail_s: or("tail_s", tail_s, 0.0)?,
             radio: radio.map(radio_of).transpose()?,
         };
         options.check().map_err(|error| pyo3::exceptions::PyValueError::new_err(error.to_string()))?;
@@ -249,7 +252,6 @@ impl Channel {
     fn from_state(py: Python<'_>, state: &Bound<'_, PyAny>) -> PyResult<Channel> {
         let bytes = bytes_of(state)?;
         let options = options_of(&bytes).map_err(|error| wrong("state", error))?;
-        options.check().map_err(|error| wrong("state", error))?;
         Channel::ensure(&options)?;
         let mut air = Air::new(options);
         air.set_state(&bytes).map_err(|error| wrong("state", error))?;
@@ -258,6 +260,12 @@ impl Channel {
 
     fn __repr__(&self) -> String {
         format!("<Channel: {} environments of {} robots>", self.options.environments, self.options.robots)
+    }
+
+    /// Whether `step` needs positions: there is a range.
+    #[getter]
+    fn needs_position(&self) -> bool {
+        self.options.needs_positions()
     }
 
     /// Number of environments N.

@@ -80,6 +80,7 @@ def test_copies_pickles_and_states_continue_to_the_bit_on_any_number_of_threads(
         ({"delay_s": "late"}, "delay_s: a <class 'str'> is neither a number nor a pair"),
         ({"hold_s": 0.01}, "hold_s: 0.01"),
         ({"burst_share": 0.9, "burst_s": 0.05}, "burst_share: good times would be shorter than a step"),
+        ({"burst_s": 2.0}, "burst_s: it has no effect without burst_share"),
         ({"threads": 0}, "threads: 0 is not 1 to 1024"),
     ],
 )

@@ -46,6 +46,7 @@ def test_messages_of_pettingzoo(task):
 @pytest.mark.parametrize("task", ["passage", "navigation", "balance", "discovery"])
 def test_messages_of_torchrl(task):
     need("torchrl")
+    import torch
     from torchrl.envs import TransformedEnv
     from torchrl.envs.utils import check_env_specs
 
@@ -64,12 +65,19 @@ def test_messages_of_torchrl(task):
     rolled = env.rollout(12, break_when_any_done=False)
     heard, said = rolled["next", "agents", "heard"], rolled["agents", "message"]
     assert 0.05 < heard.float().mean() < 0.95
+    assert env.transform.spoken.channel.index.max() <= 11, "a step of the environment is one of the channel"
     first = rolled["next", "agents", "messages"][:, 0]
     sent = said[:, 0].unsqueeze(1).expand_as(first)
     assert (first[heard[:, 0]] == sent[heard[:, 0]]).all() and not first[~heard[:, 0]].any()
-    copied = TransformedEnv(base, Messages(5, group="robots"))
-    with pytest.raises(ValueError, match="group: the environment has no agents"):
-        copied.rollout(1)
+    again = []
+    for _ in range(2):
+        torch.manual_seed(4)
+        env.set_seed(4)
+        again.append(env.rollout(6, break_when_any_done=False)["next", "agents"])
+    assert all((again[0][key] == again[1][key]).all() for key in ("heard", "age", "messages"))
+    for wrong, message in (({"group": "robots"}, "group: the environment has no agents"), ({"range_m": 1.0}, "position: it is")):
+        with pytest.raises(ValueError, match=message):
+            TransformedEnv(base, Messages(5, **wrong)).rollout(1)
 
 
 def test_gymnasium():
@@ -107,8 +115,19 @@ def test_messages_of_gymnasium():
     from murmurate.gymnasium import Messages, TeamEnv, TeamVectorEnv, VectorMessages
 
     check_env(Messages(TeamEnv(episode_s=2.0), 5, 3, loss=0.2, delay_s=(0.0, 0.1)), skip_render_check=True)
-    with pytest.raises(ValueError, match="num_envs: it is that of the environment"):
-        Messages(TeamEnv(), 5, 3, num_envs=2)
+    for wrong, message in (({"num_envs": 2}, "num_envs: it is that"), ({"range_m": 1.0}, "position: it is missing")):
+        with pytest.raises(ValueError, match=message):
+            Messages(TeamEnv(), 5, 3, **wrong)
+    placed = Messages(TeamEnv(), 5, 3, range_m=0.5, position=lambda env: env.unwrapped.core.truth().position[0])
+    placed.reset(seed=1)
+    before = placed.unwrapped.core.truth().time_s.copy()
+    with pytest.raises(ValueError, match="content: the value"):
+        placed.step({"action": placed.env.action_space.sample(), "message": np.full((5, 3), np.nan, np.float32)})
+    assert placed.unwrapped.core.truth().time_s == before, "the environment has not moved"
+    seen = placed.step({"action": placed.env.action_space.sample(), "message": np.ones((5, 3), np.float32)})[0]
+    position = placed.unwrapped.core.truth().position[0]
+    near = np.linalg.norm(position[:, None] - position[None], axis=2) < 0.4
+    assert seen["heard"].sum() < 20 and (seen["heard"].astype(bool) >= near & ~np.eye(5, dtype=bool)).all()
     for mode in ("same-step", "next-step", "disabled"):
         env = VectorMessages(TeamVectorEnv("passage", 4, episode_s=0.25, autoreset=mode), 5, 2)
         first, _ = env.reset(seed=3)

@@ -1,6 +1,14 @@
-//! Work on several threads, with results that do not depend on the number of threads.
+//! Work on several threads, with results that do not depend on the number of threads, and the parts of buffers for it.
 
 use std::sync::Mutex;
+
+/// Splits off the first `length` elements of `rest`.
+///
+/// # Panics
+/// If there are fewer.
+pub fn cut<'a, T>(rest: &mut &'a mut [T], length: usize) -> &'a mut [T] {
+    rest.split_off_mut(..length).expect("a buffer has a part for each environment")
+}
 
 /// Runs `work` on every job of `jobs`, on the calling thread and `threads - 1` others; returns when all are done.
 pub fn in_parallel<J: Send>(threads: usize, jobs: impl Iterator<Item = J> + Send, work: impl Fn(J) + Sync) {

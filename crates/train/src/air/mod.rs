@@ -8,17 +8,17 @@ mod row;
 mod state;
 
 pub use options::{Bursts, Options};
-pub use state::{StateError, options_of};
+pub use state::options_of;
 
 use self::row::Row;
-use crate::parallel::in_parallel;
+use crate::parallel::{cut, in_parallel};
 use murmurate::random::Seed;
 
 /// Number of environments that a thread takes at a time.
 const CHUNK: usize = 32;
 
-/// What robots do in a step, in row-major order. N is the number of environments, R that of robots in each, M that of
-/// floats of a message.
+/// Messages of the robots in a step, in row-major order. N is the number of environments, R that of robots in each, M
+/// that of floats of a message.
 #[derive(Clone, Copy, Debug)]
 pub struct Given<'a> {
     /// Positions of the robots \[m\], \[N, R, 2\]; empty if nothing depends on them.
@@ -83,17 +83,11 @@ impl Air {
     ///
     /// # Panics
     /// If a slice has another length, or `to` names no robot.
-    pub fn step(&mut self, given: Given, buffers: Buffers) {
+    pub fn step(&mut self, given: Given, mut buffers: Buffers) {
         let Air { options, rows } = self;
-        let mut from = 0;
-        let jobs: Vec<_> = parts(options, rows, buffers)
-            .map(|(rows, buffers)| {
-                let first = from;
-                from += rows.len();
-                (first, rows, buffers)
-            })
-            .collect();
-        in_parallel(options.threads, jobs.into_iter(), |(first, rows, mut buffers)| {
+        let chunks = rows.chunks_mut(CHUNK).enumerate();
+        let jobs: Vec<_> = chunks.map(|(at, rows)| (CHUNK * at, buffers.take(rows.len(), options), rows)).collect();
+        in_parallel(options.threads, jobs.into_iter(), |(first, mut buffers, rows)| {
             for (at, row) in rows.iter_mut().enumerate() {
                 let mut one = buffers.take(1, options);
                 row.step(options, given.of(first + at, options));
@@ -109,31 +103,19 @@ impl Air {
     }
 }
 
-/// Returns chunks of environments with their parts of the buffers.
-fn parts<'a>(
-    options: &'a Options,
-    rows: &'a mut [Row],
-    mut buffers: Buffers<'a>,
-) -> impl Iterator<Item = (&'a mut [Row], Buffers<'a>)> {
-    rows.chunks_mut(CHUNK).map(move |rows| {
-        let part = buffers.take(rows.len(), options);
-        (rows, part)
-    })
-}
-
 impl<'a> Given<'a> {
     /// Returns what the robots of one environment do.
     fn of(self, environment: usize, options: &Options) -> Given<'a> {
-        fn cut<T>(all: &[T], at: usize, length: usize) -> &[T] {
+        fn part<T>(all: &[T], at: usize, length: usize) -> &[T] {
             if all.is_empty() { all } else { &all[at * length..(at + 1) * length] }
         }
         let robots = options.robots;
         Given {
-            position: cut(self.position, environment, 2 * robots),
-            sends: cut(self.sends, environment, robots),
-            bytes: if self.bytes.len() == 1 { self.bytes } else { cut(self.bytes, environment, robots) },
-            to: cut(self.to, environment, robots),
-            content: cut(self.content, environment, robots * options.floats),
+            position: part(self.position, environment, 2 * robots),
+            sends: part(self.sends, environment, robots),
+            bytes: if self.bytes.len() == 1 { self.bytes } else { part(self.bytes, environment, robots) },
+            to: part(self.to, environment, robots),
+            content: part(self.content, environment, robots * options.floats),
         }
     }
 }
@@ -141,11 +123,6 @@ impl<'a> Given<'a> {
 impl<'a> Buffers<'a> {
     /// Splits off the parts of the first `environments`.
     fn take(&mut self, environments: usize, options: &Options) -> Buffers<'a> {
-        fn cut<'a, T>(rest: &mut &'a mut [T], length: usize) -> &'a mut [T] {
-            let (first, others) = std::mem::take(rest).split_at_mut(length);
-            *rest = others;
-            first
-        }
         let edges = environments * options.robots * options.robots;
         Buffers {
             heard: cut(&mut self.heard, edges),

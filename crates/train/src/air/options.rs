@@ -13,10 +13,13 @@ const MOST_PERIODS: f64 = 1000.0;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Options {
     /// Number N of environments.
+    #[serde(rename = "num_envs")]
     pub environments: usize,
     /// Number R of robots in each environment.
+    #[serde(rename = "num_robots")]
     pub robots: usize,
     /// Number M of floats of a message; 0 if the caller keeps contents itself.
+    #[serde(rename = "content")]
     pub floats: usize,
     /// Number of threads that advance environments.
     pub threads: usize,

@@ -38,8 +38,6 @@ pub(super) struct Row {
     flights: Vec<Flight>,
     /// Radio channel of the robots, whose frames carry the number of the step in which they were sent.
     radio: Option<Channel<i32>>,
-    /// All robots, which receive what is sent to all.
-    all: Vec<u16>,
     /// Floats of the messages of the newest steps, by step modulo their number and then by robot.
     contents: Vec<f32>,
 }
@@ -57,11 +55,23 @@ impl Row {
             bad: vec![false; if options.bursts.is_some() { robots * robots } else { 0 }],
             flights: Vec::new(),
             radio: None,
-            all: (0..robots as u16).collect(),
             contents: vec![0.0; options.memory() * robots * options.floats],
         };
         row.reset(options);
         row
+    }
+
+    /// Returns whether this is the air of an environment with these options, as one that was stored may not be.
+    pub(super) fn fits(&self, options: &Options) -> bool {
+        let (robots, edges) = (options.robots, options.robots * options.robots);
+        let lengths = [self.phases.len(), self.order.len(), self.newest.len(), self.bad.len(), self.contents.len()];
+        let bad = if options.bursts.is_some() { edges } else { 0 };
+        let known = |flight: &Flight| (flight.edge as usize) < edges && (0..self.steps).contains(&flight.step);
+        lengths == [robots, robots, edges, bad, options.memory() * robots * options.floats]
+            && self.order.iter().all(|robot| usize::from(*robot) < robots)
+            && self.newest.iter().all(|step| (-1..self.steps).contains(step))
+            && self.flights.iter().all(known)
+            && self.radio.is_some() == options.radio.is_some()
     }
 
     /// Begins the environment anew: nothing was said.
@@ -139,7 +149,7 @@ impl Row {
         for (robot, at) in (0..).zip(given.position.chunks_exact(2)) {
             radio.place(robot, Vec2::new(at[0], at[1]));
         }
-        let all: Arc<[u16]> = self.all.as_slice().into();
+        let all: Arc<[u16]> = (0..options.robots as u16).collect();
         for sender in self.order.iter().map(|robot| usize::from(*robot)) {
             if !given.sends.is_empty() && !given.sends[sender] {
                 continue;
@@ -159,7 +169,8 @@ impl Row {
         }
     }
 
-    /// Puts a message that is on its way from `sent` on among the flights, unless the receiver loses it.
+    /// Puts a message that is on its way from `sent` on among the flights, unless the receiver loses it. The positions
+    /// are those of the present step.
     fn pass(&mut self, options: &Options, given: Given, sent: Time, (receiver, sender): (usize, usize), step: i32) {
         let edge = receiver * options.robots + sender;
         let place = |robot: usize| Vec2::new(given.position[2 * robot], given.position[2 * robot + 1]);

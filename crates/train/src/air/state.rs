@@ -1,38 +1,17 @@
-//! State of the air of many teams as bytes, from which another one continues to the bit.
+//! State of the air of many teams as bytes, from which another one continues to the bit: a digest of all that follows,
+//! and the state (MessagePack with names).
 
 use serde::{Deserialize, Serialize};
 
 use super::row::Row;
 use super::{Air, Options};
-
-/// Error: bytes are not a state of the air of such teams.
-#[derive(Debug, thiserror::Error)]
-pub enum StateError {
-    /// The bytes are not what `Air::state` returns, or were changed since.
-    #[error("these bytes are no whole state of a channel: {0}")]
-    Damaged(String),
-    /// The state is of another version of the program, whose next step may have other bits.
-    #[error("the state is of {theirs}, and this is {ours}; states are for the version that took them")]
-    Version {
-        /// What took the state.
-        theirs: String,
-        /// What was to continue from it.
-        ours: String,
-    },
-    /// The environments have other options.
-    #[error("the state is of a channel with other options; make one like it with Channel.from_state")]
-    Other,
-}
+use crate::vector::{StateError, check_version, same_settings};
 
 #[derive(Serialize, Deserialize)]
 struct Stored {
     version: String,
     options: Options,
     rows: Vec<Row>,
-}
-
-fn version() -> String {
-    format!("murmurate {} ({})", env!("CARGO_PKG_VERSION"), &crate::DIGEST[..12.min(crate::DIGEST.len())])
 }
 
 /// Returns the options of the air of which `bytes` is a state.
@@ -45,13 +24,16 @@ pub fn options_of(bytes: &[u8]) -> Result<Options, StateError> {
 
 fn read(bytes: &[u8]) -> Result<Stored, StateError> {
     let damaged = |why: &str| StateError::Damaged(why.to_owned());
-    let (sum, body) = bytes.split_first_chunk::<32>().ok_or_else(|| damaged("they are too few"))?;
-    if *sum != *blake3::hash(body).as_bytes() {
-        return Err(damaged("their digest is another"));
+    let (digest, body) = bytes.split_first_chunk::<32>().ok_or_else(|| damaged("it ends too early"))?;
+    if blake3::hash(body) != blake3::Hash::from_bytes(*digest) {
+        return Err(damaged("its digest does not match its content"));
     }
     let stored: Stored = rmp_serde::from_slice(body).map_err(|error| StateError::Damaged(error.to_string()))?;
-    if stored.version != version() {
-        return Err(StateError::Version { theirs: stored.version, ours: version() });
+    check_version(&stored.version)?;
+    stored.options.check().map_err(|error| StateError::Damaged(error.to_string()))?;
+    let fits = stored.rows.iter().all(|row| row.fits(&stored.options));
+    if stored.rows.len() != stored.options.environments || !fits {
+        return Err(damaged("its messages do not fit its settings"));
     }
     Ok(stored)
 }
@@ -59,7 +41,8 @@ fn read(bytes: &[u8]) -> Result<Stored, StateError> {
 impl Air {
     /// Returns the whole state as bytes.
     pub fn state(&self) -> Vec<u8> {
-        let stored = Stored { version: version(), options: self.options.clone(), rows: self.rows.clone() };
+        let version = env!("CARGO_PKG_VERSION").to_owned();
+        let stored = Stored { version, options: self.options.clone(), rows: self.rows.clone() };
         let body = rmp_serde::to_vec_named(&stored).expect("a state is plain data");
         [blake3::hash(&body).as_bytes().as_slice(), &body].concat()
     }
@@ -70,10 +53,7 @@ impl Air {
     /// If the bytes are no such state; nothing has changed then.
     pub fn set_state(&mut self, bytes: &[u8]) -> Result<(), StateError> {
         let stored = read(bytes)?;
-        let Options { threads, seed, .. } = self.options;
-        if (Options { threads, seed, ..stored.options.clone() }) != self.options {
-            return Err(StateError::Other);
-        }
+        same_settings(&stored.options, &self.options)?;
         (self.options.seed, self.rows) = (stored.options.seed, stored.rows);
         Ok(())
     }

@@ -1,6 +1,7 @@
 //! Tests of the air of many teams.
 
 use super::*;
+use crate::vector::StateError;
 use murmurate::net::media::radio::Radio;
 
 fn options(environments: usize, robots: usize) -> Options {
@@ -71,7 +72,7 @@ impl Kept {
 }
 
 #[test]
-fn without_delay_and_loss_everyone_hears_the_last_message_of_all_others_and_nobody_itself() {
+fn without_delay_and_loss_each_robot_hears_the_last_message_of_all_others_and_not_its_own() {
     let mut kept = Kept::new(options(2, 3));
     for step in 0..4 {
         kept.step(ALL);
@@ -214,7 +215,11 @@ fn data_do_not_depend_on_threads_or_other_environments_and_states_continue_to_th
     first.air.reset(|at| at == 1);
     other.air.reset(|at| at == 1);
     assert_eq!(first.rolled(20, 5), other.rolled(20, 5));
-    assert!(matches!(Kept::new(options(5, 4)).air.set_state(&state), Err(StateError::Other)));
+    let other_options =
+        Kept::new(Options { loss: 0.1, ..full(5, 1) }).air.set_state(&state).expect_err("it is of others");
+    assert!(other_options.to_string().contains("'loss' is 0.2 there and 0.1 here"), "{other_options}");
+    let short = Air { rows: first.air.rows[..4].to_vec(), ..first.air.clone() }.state();
+    assert!(matches!(other.air.set_state(&short), Err(StateError::Damaged(why)) if why.contains("do not fit")));
     for at in [0, 40, state.len() - 1] {
         let mut bad = state.clone();
         bad[at] ^= 1;

@@ -12,11 +12,12 @@ mod state;
 pub use options::{Autoreset, Content, Lidar, Options};
 pub use phases::{LayoutKey, TeamStates};
 pub use state::{StateError, layouts_of, options_of};
+pub(crate) use state::{check_version, same_settings};
 
 use super::conditions::EpisodeConditions;
 use super::environments::{Environments, TrainingTeam};
 use super::message_buffer::{HISTORY_STEPS, HeldMessage};
-use super::parallel::in_parallel;
+use super::parallel::{cut, in_parallel};
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::local::Contacts;
 use murmurate::policy::hops::entry::Entry;
@@ -86,11 +87,6 @@ impl Lengths {
 impl<'a> Buffers<'a> {
     /// Splits off the parts of the first `environments`.
     fn take(&mut self, environments: usize, lengths: Lengths) -> Buffers<'a> {
-        fn cut<'a, T>(rest: &mut &'a mut [T], length: usize) -> &'a mut [T] {
-            let (first, others) = std::mem::take(rest).split_at_mut(length);
-            *rest = others;
-            first
-        }
         let Lengths { robots, observation, message, rays } = lengths;
         let (rows, edges) = (environments * robots, environments * lengths.edges());
         Buffers {

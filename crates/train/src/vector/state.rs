@@ -36,9 +36,9 @@ pub enum StateError {
     /// The state is of another version of the program, whose next step may have other bits.
     #[error("the state is of {theirs}, and this is {ours}; states are for the version that took them")]
     Version {
-        /// What took the state.
+        /// Version that took the state.
         theirs: String,
-        /// What was to continue from it.
+        /// Version that was to continue from it.
         ours: String,
     },
     /// The environments have other settings.
@@ -112,15 +112,6 @@ impl StoredOptions {
             autoreset: options.autoreset,
             lidar: options.lidar.clone(),
         }
-    }
-
-    /// Returns the settings on which the data depend, by name.
-    fn data(&self) -> Map<String, Value> {
-        let Ok(Value::Object(mut named)) = serde_json::to_value(self) else { return Map::new() };
-        for free in ["threads", "seed"] {
-            named.remove(free);
-        }
-        named
     }
 }
 
@@ -219,12 +210,31 @@ fn read(bytes: &[u8]) -> Result<(Stored, Numbers<'_>), StateError> {
     let (metadata, numbers) = rest.split_at(length.ok_or_else(cut)?);
     let stored: Stored =
         rmp_serde::from_slice(metadata).map_err(|error| StateError::Damaged(format!("its metadata: {error}")))?;
-    let ours = env!("CARGO_PKG_VERSION");
-    if stored.version != ours {
-        let of = |version: &str| format!("version {version}");
-        return Err(StateError::Version { theirs: of(&stored.version), ours: of(ours) });
-    }
+    check_version(&stored.version)?;
     Ok((stored, Numbers(numbers)))
+}
+
+/// Checks that a state is of this version of the program.
+pub fn check_version(theirs: &str) -> Result<(), StateError> {
+    let (ours, of) = (env!("CARGO_PKG_VERSION"), |version: &str| format!("version {version}"));
+    if theirs == ours { Ok(()) } else { Err(StateError::Version { theirs: of(theirs), ours: of(ours) }) }
+}
+
+/// Checks that the settings of a state are these, as far as data depend on them.
+pub fn same_settings<T: Serialize>(theirs: &T, ours: &T) -> Result<(), StateError> {
+    let (theirs, ours) = (data(theirs), data(ours));
+    let Some(name) = ours.keys().find(|name| theirs.get(*name) != ours.get(*name)) else { return Ok(()) };
+    let of = |named: &Map<String, Value>| named.get(name).map_or_else(String::new, Value::to_string);
+    Err(StateError::Other { name: name.clone(), theirs: of(&theirs), ours: of(&ours) })
+}
+
+/// Returns the settings on which the data depend, by name.
+fn data<T: Serialize>(settings: &T) -> Map<String, Value> {
+    let Ok(Value::Object(mut named)) = serde_json::to_value(settings) else { return Map::new() };
+    for free in ["threads", "seed"] {
+        named.remove(free);
+    }
+    named
 }
 
 impl VectorEnvironment {
@@ -267,11 +277,7 @@ impl VectorEnvironment {
     /// If the bytes are no whole state of this version, or of environments with other settings. Nothing changes then.
     pub fn set_state(&mut self, bytes: &[u8], buffers: Buffers) -> Result<(), StateError> {
         let (stored, mut numbers) = read(bytes)?;
-        let (theirs, ours) = (stored.options.data(), StoredOptions::of(&self.options).data());
-        if let Some(name) = ours.keys().find(|name| theirs.get(*name) != ours.get(*name)) {
-            let of = |named: &Map<String, Value>| named.get(name).map_or_else(String::new, Value::to_string);
-            return Err(StateError::Other { name: name.clone(), theirs: of(&theirs), ours: of(&ours) });
-        }
+        same_settings(&stored.options, &StoredOptions::of(&self.options))?;
         let damaged = |part: &str| StateError::Damaged(format!("its {part} do not fit its settings"));
         let fit = |(chunk, snapshot): (&Chunk, &Snapshot)| chunk.environments.fits(snapshot);
         if stored.chunks.len() != self.chunks.len() || !self.chunks.iter().zip(&stored.chunks).all(fit) {
