@@ -399,6 +399,7 @@ fn nothing_asks_for_a_mode_or_a_link_by_name() {
                 "crates/study/src/network/growth.rs",
                 // Defaults of flags.
                 "crates/cli/src/sim/mod.rs",
+                "crates/cli/src/sim/setup.rs",
                 "crates/cli/src/task.rs",
                 // A command has the name of a mode.
                 "crates/cli/src/lib.rs",

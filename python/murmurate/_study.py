@@ -13,7 +13,7 @@ from ._executors import Executor, run_all
 from ._program import report, words_of
 
 #: Studies of the program that consist of trials, which can be divided.
-_OF_TRIALS = ("modes", "delay", "range")
+_OF_TRIALS = ("modes", "delay", "range", "sweep")
 #: Parts for each worker: a worker that is killed loses a part, and the last ones end at about the same time.
 _PARTS = 4
 
@@ -25,7 +25,8 @@ class Study:
     Attributes:
         study: Name of the study.
         rows: One dictionary for each column, policy and handling (``network``: for each case; ``twin``: for each
-            compared quantity), with the fields of ``murmurate study ... --json``.
+            compared quantity; ``sweep``: for each point, with its values in ``at``), with the fields of
+            ``murmurate study ... --json``.
         report: Everything that ``murmurate study ... --json`` prints.
     """
 
@@ -41,11 +42,12 @@ class Study:
 
 
 def study(
-    study: Literal["modes", "delay", "range", "network", "twin"],
+    study: Literal["modes", "delay", "range", "sweep", "network", "twin"],
     *records: str | os.PathLike[str],
     out: str | os.PathLike[str] | None = None,
     executor: Executor | None = None,
     workers: int | None = None,
+    axis: Mapping[str, Sequence[Any]] | None = None,
     **flags: Any,
 ) -> Study:
     """Runs a study in processes of the program.
@@ -61,6 +63,7 @@ def study(
         executor: None for one process with a thread for each core (``jobs=``); "processes" or "ray" for parts
             (``--shard``) in processes with one thread each. Not for ``network`` and ``twin``.
         workers: Number of parts at a time; None takes the cores of this machine.
+        axis: One or two axes of a ``sweep``, each with its values: ``{"robots": [6, 8], "radio": ["none", "wifi"]}``.
 
     Raises:
         ValueError: A flag or a file is wrong; the message names it.
@@ -68,6 +71,8 @@ def study(
         KeyboardInterrupt: Ctrl-C; finished trials are in ``out``.
     """
     with tempfile.TemporaryDirectory() as temporary:
+        if axis is not None:
+            flags["axis"] = [f"{name}={','.join(map(str, values))}" for name, values in axis.items()]
         if "scenario" in flags:
             flags["scenario"] = named(flags["scenario"], temporary if out is None else out)
         return _run(study, records, out, executor, workers, flags)

@@ -49,6 +49,14 @@ def test_a_study_in_parts_is_that_of_one_process(tmp_path):
     assert murmurate.study("range", executor="processes", workers=1, **SMALL).rows == whole.rows
 
 
+def test_a_sweep_in_parts_is_that_of_one_process(tmp_path):
+    flags = {"axis": {"robots": [2, 3], "loss": [0, 0.5]}, "mode": "onboard-adhoc", "episodes": 2}
+    whole = murmurate.study("sweep", out=tmp_path / "whole", **flags)
+    parts = murmurate.study("sweep", out=tmp_path / "parts", executor="processes", workers=2, **flags)
+    assert parts.rows == whole.rows and same(tmp_path / "whole", tmp_path / "parts")
+    assert whole.columns["at"] == [{"robots": robots, "loss": loss} for loss in (0, 0.5) for robots in (2, 3)]
+
+
 def test_a_study_on_ray_is_that_of_one_process(tmp_path, monkeypatch):
     monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
     ray = need("ray")

@@ -70,6 +70,8 @@ pub struct Agent {
     /// Longest wait of a joint step for the last percept. After it, the step runs without the missing robots.
     max_wait: Span,
     slots: Vec<Slot>,
+    /// Mean time between two latents of a robot; zero for one in every step.
+    between_latents: Span,
     /// Whether policies under test compute the steps of several robots together.
     joint: bool,
     /// Arenas of the episodes, where these differ.
@@ -109,6 +111,7 @@ impl Agent {
             scenario,
             layouts: Layouts::default(),
             max_wait,
+            between_latents: Span::ZERO,
             joint: robots.len() > 1 && robots.iter().any(|policies| policies.run.is_joint()),
             missing: robots.len(),
             shared: Vec::new(),
@@ -129,6 +132,12 @@ impl Agent {
     /// Returns the Agent with the layouts of the trial: its policies get the arena of each episode.
     pub fn with_layouts(self, layouts: Layouts) -> Agent {
         Agent { layouts, ..self }
+    }
+
+    /// Returns the Agent with a mean time between two latents of a robot that is longer than a control step. Robots of
+    /// one Agent exchange latents in every step all the same.
+    pub fn broadcasting(self, between_latents: Span) -> Agent {
+        Agent { between_latents, ..self }
     }
 
     fn follow(&mut self, now: Time, mode: &Mode) {
@@ -184,7 +193,7 @@ impl Agent {
             }
             // Send actions before latents: actuation latency matters more. Both leave in one visit to the Network.
             out.extend((0..self.slots.len()).filter_map(|at| self.act(now, at)).map(Out::Action));
-            out.extend((0..self.slots.len()).filter_map(|at| self.latent(at)).map(Out::Latent));
+            out.extend((0..self.slots.len()).filter_map(|at| self.latent(now, at)).map(Out::Latent));
             if self.phase == Phase::Running {
                 out.extend(self.slots.iter().filter_map(Slot::remembered).map(Out::Remembered));
             }
@@ -217,10 +226,10 @@ impl Agent {
     }
 
     /// Returns the latent of the robot in slot `at`; `None` if it broadcasts none in this step.
-    fn latent(&mut self, at: usize) -> Option<Latent> {
+    fn latent(&mut self, now: Time, at: usize) -> Option<Latent> {
         let SharedData { robot, motion, .. } = self.shared[at]?;
         let slot = &mut self.slots[at];
-        if slot.outcome != Outcome::Sound {
+        if slot.outcome != Outcome::Sound || !slot.broadcasts(now, self.between_latents) {
             return None;
         }
         slot.reported = false;
@@ -873,6 +882,26 @@ mod tests {
         assert_eq!(step(&mut agent, 1000), (0.04, 1), "it has a step as soon as it can");
         agent.undo();
         assert_eq!(step(&mut agent, 1050), (0.05, 1), "a step that was late is made up for");
+    }
+
+    #[test]
+    fn a_robot_broadcasts_at_its_rate_on_average_and_does_not_make_up_for_a_silence() {
+        let between = Span::from_millis(125);
+        let mut agent = agent(&[0]).broadcasting(between);
+        let mut said = |ms: u64| {
+            let mut out = Vec::new();
+            agent.handle(Time::ZERO + Span::from_millis(ms), percept(0, 0.0, Vec::new()), &mut out);
+            assert!(out.iter().any(|out| matches!(out, Out::Action(_))), "it acts in each step");
+            out.iter().filter(|out| matches!(out, Out::Latent(_))).count()
+        };
+        // Eight a second of twenty steps, whatever the first step's time.
+        let second: usize = (20..40).map(|step| said(step * 50)).sum();
+        assert_eq!(second, 8);
+        // Steps that come a little early, as on a real clock, take the turn of those in time.
+        let early: usize = (40..60).map(|step| said(step * 50 - 3)).sum();
+        assert_eq!(early, 8);
+        let after: Vec<usize> = [10_000, 10_050, 10_100, 10_150, 10_200, 10_250].map(&mut said).to_vec();
+        assert_eq!(after, [1, 0, 1, 0, 0, 1], "after seven seconds of silence");
     }
 
     #[test]

@@ -8,6 +8,7 @@ pub mod conditions;
 mod judging;
 mod links;
 mod presets;
+mod rates;
 mod roles;
 mod routes;
 mod senses;
@@ -169,6 +170,10 @@ pub struct Deployment {
     /// Radius of the hull of all robots \[m\]; `None` for that of the paper's robots, 0.16 m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hull_m: Option<f32>,
+    /// Rate at which a robot broadcasts latents \[Hz\], on average and at most once in a control step; `None` for one
+    /// in every step.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub latent_rate_hz: Option<f64>,
     /// Whether readings of every robot go to all hosts with Agents, which hold what the robot says of itself against
     /// them and avoid it where it is measured. Of a robot that the host of its own Agent measures they do not.
     #[serde(default = "off", skip_serializing_if = "is_off")]
@@ -275,22 +280,13 @@ impl Deployment {
         if servers != 1 {
             return wrong("host.state_server", format!("{servers} hosts run a state server; exactly one must"));
         }
+        self.check_latent_rate()?;
         self.check_witness()?;
         self.check_roles()?;
         self.check_senses()?;
         self.links.iter().try_for_each(Link::check)?;
         self.links.iter().try_for_each(Link::check_radio)?;
         self.check_ways()
-    }
-
-    /// Checks that a witness has something to witness.
-    fn check_witness(&self) -> Result<(), ConfigError> {
-        let witnesses = |routes: Routes| RobotId::team(self.robots).any(|robot| routes.is_witnessed(robot));
-        if self.witness == Switch::On && !witnesses(Routes::of(self)) {
-            let reason = "no robot is measured by another host than that of its agent; set it to \"off\"";
-            return Err(ConfigError::field("witness", reason.to_owned()));
-        }
-        Ok(())
     }
 
     /// Checks that names of hosts and links are unique and not empty.

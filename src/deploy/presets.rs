@@ -63,23 +63,29 @@ impl Deployment {
             ),
             _ => return None,
         };
-        let training = mode == "sim";
-        Some(Deployment {
-            mode: mode.to_owned(),
-            robots,
-            placement: if training { Placement::Exact } else { Placement::Drive },
-            stepping: if training { Stepping::Lockstep } else { Stepping::Seeded },
-            body: Default::default(),
-            bodies: Default::default(),
-            senses: Default::default(),
-            roles: Default::default(),
-            plant: kinematic(),
-            gap_m: None,
-            scale: None,
-            hull_m: None,
-            witness: Switch::Off,
-            hosts,
-            links,
-        })
+        Some(of_hosts((mode, robots), hosts, links))
+    }
+}
+
+/// Returns the deployment of a preset mode with these hosts and links; all else is as usual.
+fn of_hosts((mode, robots): (&str, usize), hosts: Vec<Host>, links: Vec<Link>) -> Deployment {
+    let training = mode == "sim";
+    Deployment {
+        mode: mode.to_owned(),
+        robots,
+        placement: if training { Placement::Exact } else { Placement::Drive },
+        stepping: if training { Stepping::Lockstep } else { Stepping::Seeded },
+        body: Default::default(),
+        bodies: Default::default(),
+        senses: Default::default(),
+        roles: Default::default(),
+        plant: kinematic(),
+        gap_m: None,
+        scale: None,
+        hull_m: None,
+        latent_rate_hz: None,
+        witness: Switch::Off,
+        hosts,
+        links,
     }
 }

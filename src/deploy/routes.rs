@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use super::Deployment;
+use crate::config::ConfigError;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{KINDS, Kind, Publisher, Receiver};
 use crate::net::protocol::router::{Audience, Publishers, Route, Router};
@@ -312,5 +313,17 @@ impl Routes {
             Route { local, leaves: audience.filter(|_| publishes).map(|audience| (link(), audience)) }
         });
         router.with_publishers(Arc::clone(&self.publishers))
+    }
+}
+
+impl Deployment {
+    /// Checks that a witness has something to witness.
+    pub(super) fn check_witness(&self) -> Result<(), ConfigError> {
+        let witnesses = |routes: Routes| RobotId::team(self.robots).any(|robot| routes.is_witnessed(robot));
+        if self.witness == Switch::On && !witnesses(Routes::of(self)) {
+            let reason = "no robot is measured by another host than that of its agent; set it to \"off\"";
+            return Err(ConfigError::field("witness", reason.to_owned()));
+        }
+        Ok(())
     }
 }

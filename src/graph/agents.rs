@@ -39,7 +39,8 @@ pub(super) fn agent_of(trial: &Trial, robots: &[RobotId], incarnation: u32) -> A
     };
     let wait = max_wait(trial, robots);
     let robots = robots.iter().map(policies).collect();
-    Agent::new(Arc::clone(&trial.scenario), wait, robots).with_layouts(trial.layouts.clone())
+    let between = trial.deployment.between_latents();
+    Agent::new(Arc::clone(&trial.scenario), wait, robots).with_layouts(trial.layouts.clone()).broadcasting(between)
 }
 
 /// Returns the longest times until the answer of a worker that computes the policies of an Agent of `robots`: from the

@@ -16,6 +16,7 @@ mod shells;
 mod sizes;
 mod study;
 mod study_network;
+mod study_sweep;
 mod task_files;
 mod teams;
 mod train;

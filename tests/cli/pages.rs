@@ -280,6 +280,7 @@ impl Args {
                 let one = self.with("--rates", "60").with("--retries", "1").with("--teams", "none");
                 one.with("--seconds", "1").quiet()
             }
+            ("study", Some("sweep")) => self.with("--episodes", "1").with("--repeats", "1").quiet(),
             ("study", _) => self.with("--layouts", "1").with("--repeats", "1").quiet(),
             ("train", _) if self.has("--print-config") => self,
             ("train", Some(name @ ("flocking" | "coverage"))) => {

@@ -26,20 +26,23 @@ const SMALL: [&str; 12] = [
     "5",
 ];
 
-struct Place(TempDir);
+/// Folder of a test.
+pub struct Place(TempDir);
 
 impl Place {
-    fn new() -> Place {
+    /// Makes the folder.
+    pub fn new() -> Place {
         Place(TempDir::new().expect("a temporary folder"))
     }
 
-    fn at(&self, name: &str) -> String {
+    /// Returns the path of the name in it.
+    pub fn at(&self, name: &str) -> String {
         self.0.path().join(name).to_string_lossy().into_owned()
     }
 }
 
 /// Returns every file of a folder, by its relative path.
-fn files(folder: &str) -> BTreeMap<PathBuf, Vec<u8>> {
+pub fn files(folder: &str) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut folders = vec![PathBuf::from(folder)];
     while let Some(next) = folders.pop() {
@@ -57,7 +60,7 @@ fn files(folder: &str) -> BTreeMap<PathBuf, Vec<u8>> {
 }
 
 /// Runs a study with more flags, to its end.
-fn done(args: &[&str], more: &[&str]) -> Output {
+pub fn done(args: &[&str], more: &[&str]) -> Output {
     let output = run(&[args, more].concat());
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
     output
@@ -71,7 +74,8 @@ fn columns(args: &[&str]) -> Vec<Value> {
     json["columns"].as_array().expect("rows").clone()
 }
 
-fn same(one: &str, other: &str) {
+/// Fails unless two folders have the same files, with a report.
+pub fn same(one: &str, other: &str) {
     let (one, other) = (files(one), files(other));
     assert!(one.contains_key(Path::new("report.html")), "{:?}", one.keys());
     assert_eq!(one.keys().collect::<Vec<_>>(), other.keys().collect::<Vec<_>>());
@@ -157,7 +161,7 @@ fn files_do_not_depend_on_threads_and_the_report_loads_no_file() {
 }
 
 /// Starts a study on one thread and waits until it has written the record of a trial.
-fn begun(args: &[&str], out: &str) -> (Child, impl Iterator<Item = String> + use<>) {
+pub fn begun(args: &[&str], out: &str) -> (Child, impl Iterator<Item = String> + use<>) {
     let mut command = murmurate(&[args, &["--jobs", "1", "--out", out]].concat());
     let command = command.env("MURMURATE_LOG", "murmurate=info").stdout(Stdio::null()).stderr(Stdio::piped());
     let mut child = command.spawn().expect("the program starts");

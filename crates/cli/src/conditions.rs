@@ -17,15 +17,19 @@ use murmurate_robot::output::read_text;
 
 /// Reads and checks a conditions file (TOML): plant, properties of the robots' motion, delay and loss of messages.
 pub fn file(path: &Path) -> Result<Conditions> {
-    let text = read_text(path, "conditions file")?;
-    Conditions::from_toml(&text).map_err(|e| BadInput(format!("the conditions file '{}': {e}", path.display())).into())
+    of_text(&read_text(path, "conditions file")?, path)
 }
 
-/// Reads and checks a deployment file (TOML). It is an error if the file has a real robot, as a simulation has none.
-pub fn deployment(path: &Path, registry: &Registry) -> Result<Deployment> {
-    let text = read_text(path, "deployment file")?;
+/// Checks the text of the conditions file at `path`, and returns its conditions.
+pub fn of_text(text: &str, path: &Path) -> Result<Conditions> {
+    Conditions::from_toml(text).map_err(|e| BadInput(format!("the conditions file '{}': {e}", path.display())).into())
+}
+
+/// Checks the text of the deployment file at `path` (TOML), and returns its deployment. It is an error if the file has
+/// a real robot, as a simulation has none.
+pub fn deployment(text: &str, path: &Path, registry: &Registry) -> Result<Deployment> {
     let wrong = |error| BadInput(format!("the deployment file '{}': {error}", path.display()));
-    let deployment = Deployment::from_toml(&text).map_err(wrong)?;
+    let deployment = Deployment::from_toml(text).map_err(wrong)?;
     deployment.check_simulated().map_err(wrong)?;
     Ok(deployment.from_folder(registry, path.parent().unwrap_or(Path::new(""))))
 }
@@ -58,11 +62,11 @@ pub fn range(mean_m: Option<f32>, std_m: f32, trial: &Trial) -> Result<Option<Co
 }
 
 /// Returns the fault plan that `given` names. If it is a whole number, it is the seed from which faults for `trial` are
-/// drawn; otherwise it is the path of a fault plan file (TOML).
-pub fn faults(given: &str, trial: &Trial) -> Result<FaultPlan> {
+/// drawn; otherwise it is the path of a fault plan file (TOML), which `read` reads.
+pub fn faults(given: &str, trial: &Trial, read: impl Fn(&Path, &str) -> Result<String>) -> Result<FaultPlan> {
     if let Ok(seed) = given.parse::<u64>() {
         return Ok(trial.clone().random_faults(seed).faults);
     }
-    let text = read_text(Path::new(given), "fault plan (a seed would be a whole number)")?;
+    let text = read(Path::new(given), "fault plan (a seed would be a whole number)")?;
     FaultPlan::from_toml(&text).map_err(|e| BadInput(format!("the fault plan '{given}': {e}")).into())
 }

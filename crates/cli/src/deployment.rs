@@ -8,11 +8,13 @@ use anyhow::Result;
 use clap::Arg;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::error::ErrorKind;
+use murmurate::config::ConfigError;
 use murmurate::deploy::{Deployment, Impair, MODES};
 use murmurate::net::media::radio::{PRESETS, Radio};
 use murmurate::registry::Registry;
 
-use murmurate_robot::output::{print, read_text};
+use crate::sim::changes::Changes;
+use murmurate_robot::output::print;
 use murmurate_robot::{BadInput, Ended, bad};
 
 /// Parser of the whole name of a preset mode. For a mere beginning of names, the error lists the modes with it.
@@ -55,7 +57,7 @@ pub struct Args {
 pub fn run(args: &Args, _: &Registry) -> Result<Ended> {
     let deployment =
         Deployment::preset(&args.mode, usize::from(args.robots)).expect("the parser lets only modes through");
-    let deployment = with_radio(deployment, &args.radio)?;
+    let deployment = with_radio(deployment, &args.radio, &Changes::default())?;
     deployment.check().map_err(|e| BadInput(format!("--{e}")))?;
     print(deployment.to_toml().trim_end())?;
     Ok(Ended::Done)
@@ -79,20 +81,27 @@ pub fn impaired(deployment: Deployment, (delay_ms, loss): (f64, f64), impair: Im
 }
 
 /// Adds a radio to the links of a deployment. `given` is the name of a radio preset, the path of a radio file, or
-/// `none`.
-pub fn with_radio(deployment: Deployment, given: &str) -> Result<Deployment> {
+/// `none`. Fields of the radio are changed by `changes`.
+pub fn with_radio(deployment: Deployment, given: &str, changes: &Changes) -> Result<Deployment> {
+    if given == "none" && changes.concern("radio") {
+        return Err(BadInput("--radio: missing; a field of it changes".to_owned()).into());
+    }
     if given == "none" {
         return Ok(deployment);
     }
+    let wrong = |error: ConfigError| BadInput(format!("the radio file '{given}': {error}"));
     let radio = match Radio::preset(given) {
-        Some(radio) => radio,
+        Some(radio) if !changes.concern("radio") => radio,
+        Some(radio) => {
+            let text = toml::to_string(&radio).expect("a radio is TOML");
+            Radio::from_toml(&changes.over("radio", text)?).map_err(wrong)?
+        }
         None if !given.contains(['.', '/']) => {
             let names = PRESETS.join(", ");
             let why = format!("--radio: there is no radio '{given}'; there are: none, {names}, or a file FILE.toml");
             return Err(BadInput(why).into());
         }
-        None => Radio::from_toml(&read_text(Path::new(given), "radio file")?)
-            .map_err(|e| BadInput(format!("the radio file '{given}': {e}")))?,
+        None => Radio::from_toml(&changes.read("radio", Path::new(given), "radio file")?).map_err(wrong)?,
     };
     let deployment = deployment.with_radio(&radio);
     if deployment.links.iter().all(|link| link.radio.is_none()) {

@@ -17,6 +17,7 @@ pub mod pages;
 pub mod published;
 pub mod record;
 pub mod results;
+pub mod sweep;
 pub mod table;
 pub mod twin;
 
@@ -138,24 +139,24 @@ impl Identity {
     /// Returns the first field in which two identities of studies differ, except the command: its name, its value
     /// in `self` and its value in `other`, both as JSON cut to 60 characters; `None` if there is none.
     pub fn difference(&self, other: &Identity) -> Option<(String, String, String)> {
-        let fields = |identity: &Identity| match serde_json::to_value(identity) {
-            Ok(serde_json::Value::Object(fields)) => fields,
-            _ => unreachable!("an identity is plain data"),
-        };
-        let (mine, theirs) = (fields(self), fields(other));
-        let mut differing = FIELDS.into_iter().filter(|field| mine.get(*field) != theirs.get(*field));
-        differing.next().map(|field| {
-            let shown = |value: Option<&serde_json::Value>| {
-                let text = value.map_or("nothing".to_owned(), ToString::to_string);
-                if text.chars().count() > 60 {
-                    format!("{}...", text.chars().take(57).collect::<String>())
-                } else {
-                    text
-                }
-            };
-            (field.to_owned(), shown(mine.get(field)), shown(theirs.get(field)))
-        })
+        differing(&FIELDS, self, other)
     }
+}
+
+/// Returns the first of `fields` in which two identities differ: its name, its value in `mine` and its value in
+/// `theirs`, both as JSON cut to 60 characters; `None` if there is none.
+fn differing<I: Serialize>(fields: &[&str], mine: &I, theirs: &I) -> Option<(String, String, String)> {
+    let fields_of = |identity: &I| match serde_json::to_value(identity) {
+        Ok(serde_json::Value::Object(fields)) => fields,
+        _ => unreachable!("an identity is plain data"),
+    };
+    let (mine, theirs) = (fields_of(mine), fields_of(theirs));
+    let field = fields.iter().find(|field| mine.get(**field) != theirs.get(**field))?;
+    let shown = |value: Option<&serde_json::Value>| {
+        let text = value.map_or("nothing".to_owned(), ToString::to_string);
+        if text.chars().count() > 60 { format!("{}...", text.chars().take(57).collect::<String>()) } else { text }
+    };
+    Some(((*field).to_owned(), shown(mine.get(*field)), shown(theirs.get(*field))))
 }
 
 impl Study {

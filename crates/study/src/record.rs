@@ -94,6 +94,21 @@ impl Traces {
     }
 }
 
+/// Returns whether results can be those of the trial with the index `repeat`: a file may be damaged, and sums over
+/// records must not overflow.
+pub(crate) fn are_possible(episodes: &[Episode], repeat: u32, listening: &Listening) -> bool {
+    let seconds = |value: f64| (0.0..=LONGEST_S).contains(&value);
+    let episode = |(at, episode): (usize, &Episode)| {
+        let Episode { makespan_s, reset_s, min_separation_m, cost, .. } = *episode;
+        (episode.repeat, episode.episode as usize) == (repeat, at)
+            && makespan_s.is_none_or(seconds)
+            && seconds(reset_s)
+            && min_separation_m >= 0.0
+            && cost.is_none_or(|cost| cost.abs() <= MOST_COST)
+    };
+    episodes.iter().enumerate().all(episode) && listening.most() <= MOST_COUNT
+}
+
 impl TrialRecord {
     /// Returns the record of the finished trial `job` of a study. `report` has its results and steps.
     pub fn of(study: &Study, job: Job, report: &TrialReport) -> TrialRecord {
@@ -115,17 +130,9 @@ impl TrialRecord {
     /// Returns whether the numbers of the record can be those of a trial: a file may be damaged, and sums over records
     /// must not overflow.
     fn is_possible(&self) -> bool {
-        let seconds = |value: f64| (0.0..=LONGEST_S).contains(&value);
-        let episode = |(at, episode): (usize, &Episode)| {
-            let Episode { makespan_s, reset_s, min_separation_m, cost, .. } = *episode;
-            (episode.repeat, episode.episode as usize) == (self.repeat, at)
-                && makespan_s.is_none_or(seconds)
-                && seconds(reset_s)
-                && min_separation_m >= 0.0
-                && cost.is_none_or(|cost| cost.abs() <= MOST_COST)
-        };
-        let counts = [self.listening.most(), self.traces.position.most(), self.traces.separation.most()];
-        self.episodes.iter().enumerate().all(episode) && counts.into_iter().all(|count| count <= MOST_COUNT)
+        let counts = [self.traces.position.most(), self.traces.separation.most()];
+        are_possible(&self.episodes, self.repeat, &self.listening)
+            && counts.into_iter().all(|count| count <= MOST_COUNT)
     }
 
     /// Returns whether this is the complete record of the trial `job` of the study, with numbers that a trial can have.

@@ -33,17 +33,43 @@ pub struct Row {
     pub loss: Option<f64>,
     /// Mean communication range \[m\]; null if it is that of the policy, or unlimited.
     pub range_m: Option<f32>,
-    /// Share of messages between robots that arrived; null if no message crosses a link.
+    /// Delivery and age of messages between robots.
+    #[serde(flatten)]
+    pub delivery: Delivery,
+}
+
+/// Delivery and age of messages between robots; all fields are null if no message crosses a link.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Delivery {
+    /// Share of messages between robots that arrived.
     pub delivered: Option<f64>,
-    /// Share of the arrived messages with at most 20 ms from publication to arrival; null if none crossed a link.
+    /// Share of the arrived messages with at most 20 ms from publication to arrival.
     pub within_20ms: Option<f64>,
-    /// Share of the arrived messages with at most 50 ms from publication to arrival; null if none crossed a link.
+    /// Share of the arrived messages with at most 50 ms from publication to arrival.
     pub within_50ms: Option<f64>,
-    /// Mean number of neighbours whose messages a control step uses; null if no message crosses a link.
+    /// Mean number of neighbours whose messages a control step uses.
     pub neighbours: Option<f64>,
-    /// Median age of neighbours' messages at control steps, since publication \[ms\]; null if no message crosses a
-    /// link.
+    /// Median age of neighbours' messages at control steps, since publication \[ms\].
     pub age_p50_ms: Option<f64>,
+}
+
+impl Delivery {
+    /// Returns what the counts say of delivery and age.
+    pub fn of(listening: &Listening) -> Delivery {
+        let within = |ms| listening.delay.share_within(Span::from_millis(ms));
+        Delivery {
+            delivered: listening.delivered(),
+            within_20ms: within(20),
+            within_50ms: within(50),
+            neighbours: listening.neighbours(),
+            age_p50_ms: listening.age.quantile_s(0.5).map(|age_s| 1000.0 * age_s),
+        }
+    }
+
+    /// Returns the share of all expected deliveries that arrived within 50 ms.
+    pub fn on_time(&self) -> Option<f64> {
+        Some(self.delivered? * self.within_50ms?)
+    }
 }
 
 /// Results of one policy in one column, with the data of its figures.
@@ -116,7 +142,6 @@ impl Cell {
         }
         let (column, tested) = (&study.columns[column], &study.policies[policy]);
         let paper = published::ran(study, tested).then(|| published::of(&column.name));
-        let within = |ms| listening.delay.share_within(Span::from_millis(ms));
         let row = Row {
             name: column.name.clone(),
             policy: tested.policy.clone(),
@@ -130,11 +155,7 @@ impl Cell {
                 Range::Within { mean_m, .. } => Some(mean_m),
                 Range::Own | Range::Everyone => None,
             },
-            delivered: listening.delivered(),
-            within_20ms: within(20),
-            within_50ms: within(50),
-            neighbours: listening.neighbours(),
-            age_p50_ms: listening.age.quantile_s(0.5).map(|age_s| 1000.0 * age_s),
+            delivery: Delivery::of(&listening),
         };
         let makespans_s = episodes.iter().filter_map(|episode| episode.makespan_s).collect();
         Cell { row, makespans_s, listening, traces }

@@ -97,6 +97,8 @@ pub(super) struct Slot {
     pub held_since: Option<Time>,
     /// Latent features that the robot broadcasts in the current step.
     pub features: Vec<f32>,
+    /// Time at which the robot's next latent is due, where it does not broadcast in every step.
+    next_latent: Time,
     /// Outcome of the current step so far.
     pub outcome: Outcome,
     /// Whether the log has said that the latent is invalid, since it was last valid.
@@ -162,6 +164,7 @@ impl Slot {
             period,
             held_since: None,
             features: Vec::new(),
+            next_latent: Time::ZERO,
             outcome: Outcome::Silent,
             reported: false,
             widths,
@@ -169,6 +172,21 @@ impl Slot {
             holds,
             forgets_after,
         }
+    }
+
+    /// Returns whether the robot broadcasts a latent in the step at `now`, with a mean time `between` two latents. One
+    /// that is due within half a period counts as due, so that steps which come a little early do not put it off.
+    pub fn broadcasts(&mut self, now: Time, between: Span) -> bool {
+        if between == Span::ZERO {
+            return true;
+        }
+        if now + Span::from_nanos(self.period.as_nanos() / 2) < self.next_latent {
+            return false;
+        }
+        // After a silence there is nothing to make up for.
+        let due = if self.next_latent + between > now { self.next_latent } else { now };
+        self.next_latent = due + between;
+        true
     }
 
     fn width(&self, phase: Phase) -> usize {

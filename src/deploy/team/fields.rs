@@ -3,6 +3,7 @@
 
 use crate::config::fields::FieldType;
 use crate::deploy::MODES;
+use crate::deploy::rates::LATENT_RATE_HZ;
 use crate::net::protocol::reliability::Reliability;
 use crate::net::transport;
 use crate::world::Sensor;
@@ -27,7 +28,7 @@ const SENSORS: [&str; 3] = {
 };
 
 /// Fields of the whole team, in the order in which `config show` lists them.
-const TEAM: [Field; 24] = [
+const TEAM: [Field; 25] = [
     ("team", FieldType::Whole(0, 65_535), None),
     ("key_file", FieldType::Text, None),
     // All hosts must agree on it, so it is set for the whole team.
@@ -39,6 +40,7 @@ const TEAM: [Field; 24] = [
     ("scale", FieldType::Number(0.01, 100.0), None),
     ("hull_m", FieldType::Number(0.001, 10.0), None),
     ("policy", FieldType::Text, None),
+    ("latent_rate_hz", FieldType::Number(LATENT_RATE_HZ[0], LATENT_RATE_HZ[1]), None),
     ("episodes", FieldType::Whole(1, 1_000_000), Some("16")),
     ("seed", FieldType::Whole(0, u64::MAX), Some("0")),
     ("plant", FieldType::Text, None),

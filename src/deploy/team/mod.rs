@@ -326,7 +326,7 @@ fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) 
             let why = "there is a [deployment] too, which has a plant of its own; leave one of the two out";
             return Err(ConfigError::field(place("plant", &entry.origin), why));
         }
-        for field in ["gap_m", "scale", "hull_m"] {
+        for field in ["gap_m", "scale", "hull_m", "latent_rate_hz"] {
             if let Some(entry) = find(field) {
                 let why = "there is a [deployment] too, which may have one of its own; write it there";
                 return Err(ConfigError::field(place(field, &entry.origin), why));
@@ -360,6 +360,7 @@ fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) 
         None => build(registry, layers, &scenario, &settings)?.robots(),
     };
     let preset = Deployment::preset(text(&mode), robots).expect("the fields let only modes through").sized(&settings);
+    let preset = Deployment { latent_rate_hz: find("latent_rate_hz").map(|entry| number(&entry).into()), ..preset };
     let Some(entry) = plant else { return Ok(preset) };
     match registry.plant(text(&entry)) {
         Ok(plant) => Ok(Deployment { plant: plant.name.to_owned(), ..preset }),

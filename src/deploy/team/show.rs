@@ -53,6 +53,7 @@ impl TeamFile {
                 "plant" => Some(self.deployment.plant.clone()),
                 "scale" => Some(self.deployment.scale.unwrap_or(1.0).to_string()),
                 "hull_m" => self.scenario().ok().map(|scenario| scenario.arena().hull_m().to_string()),
+                "latent_rate_hz" => Some("that of the control steps".to_owned()),
                 "lag_s" | "contacts" | "wall_radius_m" | "sensor" => self.plant_default(key),
                 "sensor_delay_s" => Some("the latency of the simulated sensor".to_owned()),
                 _ => None,

@@ -5,30 +5,30 @@ use std::sync::Arc;
 
 use anyhow::Result;
 
-use super::Args;
+use super::setup::Setup;
 use crate::{conditions, deployment, size};
 use murmurate::config::ConfigError;
 use murmurate::deploy::conditions::Conditions;
 use murmurate::deploy::{self, Deployment, Impair};
 use murmurate::messages::ids::RobotId;
 use murmurate::registry::Registry;
-use murmurate::results::totals::Steps;
 use murmurate::scenario::layout::Layouts;
-use murmurate::scenario::{Scenario, ScenarioError, Settings};
+use murmurate::scenario::{Scenario, ScenarioError, Settings, TaskFile};
 use murmurate::senses::Settings as SenseSettings;
 use murmurate::time::Span;
 use murmurate::trial::Trial;
 use murmurate::world::{Overrides, Placement};
-use murmurate_robot::output::{read_text, talk};
+use murmurate_robot::output::read_text;
 use murmurate_robot::{BadInput, bad, policy};
 
 /// Returns the conditions of the file that a flag names; none without one.
-fn given(args: &Args) -> Result<Conditions> {
-    Ok(args.conditions.as_deref().map(conditions::file).transpose()?.unwrap_or_default())
+fn given(args: &Setup) -> Result<Conditions> {
+    let Some(path) = &args.conditions else { return Ok(Conditions::default()) };
+    conditions::of_text(&args.changes.read("conditions", path, "conditions file")?, path)
 }
 
 /// Returns the deployment with the delay, loss, range and radio that the flags set for its links.
-fn network(args: &Args, fitted: &Conditions, mut deployment: Deployment) -> Result<Deployment> {
+fn network(args: &Setup, fitted: &Conditions, mut deployment: Deployment) -> Result<Deployment> {
     if args.impair.is_some() && args.delay_ms == 0.0 && args.loss == 0.0 {
         return bad("--impair: there is neither delay nor loss; add --delay-ms or --loss".to_owned());
     }
@@ -40,12 +40,12 @@ fn network(args: &Args, fitted: &Conditions, mut deployment: Deployment) -> Resu
     if let Some(range_m) = args.link_range_m {
         deployment = deployment.ranged(range_m).map_err(|e| BadInput(format!("--link-range-m: {e}")))?;
     }
-    deployment::with_radio(deployment, &args.radio)
+    deployment::with_radio(deployment, &args.radio, &args.changes)
 }
 
 /// Returns the settings of the scenario: those of the flags, or else of the conditions, or else of the deployment
 /// `file`.
-fn settings(args: &Args, fitted: &Conditions, file: Option<&Deployment>) -> Settings {
+fn settings(args: &Setup, fitted: &Conditions, file: Option<&Deployment>) -> Settings {
     let file = size::of_file(file);
     let Settings { scale, hull_m, .. } = args.size.over(fitted.under(Settings::default()));
     Settings {
@@ -57,7 +57,7 @@ fn settings(args: &Args, fitted: &Conditions, file: Option<&Deployment>) -> Sett
 }
 
 /// Returns the error that the scenario cannot be made, which names the flag or the file of the wrong setting.
-fn refused(args: &Args, fitted: &Conditions, file: Option<&Deployment>, error: &ScenarioError) -> BadInput {
+fn refused(args: &Setup, fitted: &Conditions, file: Option<&Deployment>, error: &ScenarioError) -> BadInput {
     let flags = args.size.over(Settings { robots: args.robots, gap_m: args.gap_m, ..Settings::default() });
     let fitted = fitted.under(Settings::default());
     let path = |path: Option<&Path>| path.unwrap_or(Path::new("")).display().to_string();
@@ -69,16 +69,30 @@ fn refused(args: &Args, fitted: &Conditions, file: Option<&Deployment>, error: &
     size::refused(error, &flags, &files)
 }
 
-/// Returns the trial that the flags of `sim` define for `policy` (`None` for the scenario's default policy), and the
-/// policy's name in reports. All other trials of the policy are repeats of it. `place` returns another place of a
-/// policy of a role, for a replay.
+/// Trial that flags define.
+pub struct Defined {
+    /// The trial; all other trials of its policy are repeats of it.
+    pub trial: Trial,
+    /// Name of its policy in reports.
+    pub policy: String,
+    /// Warnings about the use of the policy.
+    pub warnings: Vec<String>,
+}
+
+/// Returns the trial of `episodes` drawn from `seed` that the flags of `sim` define for `policy` (`None` for the
+/// scenario's default policy). `place` returns another place of a policy of a role, for a replay.
 pub fn of_flags(
-    args: &Args,
+    args: &Setup,
+    (seed, episodes): (u64, u32),
     policy: Option<&Path>,
-    registry: &Registry,
-    place: &dyn Fn(&Path) -> Option<PathBuf>,
-) -> Result<(Trial, String)> {
-    let file = args.deployment.as_deref().map(|path| conditions::deployment(path, registry)).transpose()?;
+    (registry, place): (&Registry, &dyn Fn(&Path) -> Option<PathBuf>),
+) -> Result<Defined> {
+    let registry = &with_changed_task(args, registry)?;
+    let read = |path: &PathBuf| {
+        let text = args.changes.read("deployment", path, "deployment file")?;
+        conditions::deployment(&text, path, registry)
+    };
+    let file = args.deployment.as_ref().map(read).transpose()?;
     let fitted = &given(args)?;
     let settings = settings(args, fitted, file.as_ref());
     let scenario =
@@ -88,12 +102,14 @@ pub fn of_flags(
             return bad(format!("--robots: {} robots, but the deployment file has {}", scenario.robots(), file.robots));
         }
         Some(file) => file,
-        None => Deployment::preset(&args.mode, scenario.robots()).expect("the parser lets only modes through"),
+        None => preset(args, scenario.robots(), registry)?,
     };
     deployment = deployment.sized(&settings);
     deployment = of_files(args, deployment, registry, place)?.for_task(scenario.task_file());
     check_pace(&deployment, registry)?;
     deployment = network(args, fitted, deployment)?;
+    deployment.latent_rate_hz = args.latent_rate_hz.or(deployment.latent_rate_hz);
+    deployment.check().map_err(|e| BadInput(format!("--latent-rate-hz: {e}")))?;
     deployment.placement = args.placement.unwrap_or(deployment.placement);
     if let Some(plant) = args.plant.clone().or_else(|| fitted.plant.clone()) {
         deployment.plant = plant;
@@ -102,11 +118,8 @@ pub fn of_flags(
     deployment.check().map_err(|e| BadInput(format!("--drive: {e}")))?;
     let loaded = policy::load_team(registry, policy, args.action, (&deployment, &*scenario))?;
     let policy::LoadedTeam { models, name: policy, warnings } = loaded;
-    for warning in warnings.iter().filter(|_| !args.quiet) {
-        talk(&format!("warning: {warning}"));
-    }
     let mut trial = Trial::with_registry(registry, deployment, Arc::clone(&scenario), models);
-    trial = trial.seed(args.seed).episodes(args.episodes());
+    trial = trial.seed(seed).episodes(episodes);
     trial.handling = args.handling;
     if !(0.0..=1000.0).contains(&args.step_ms) {
         return bad(format!("--step-ms: {} is not 0 to 1000", args.step_ms));
@@ -116,7 +129,7 @@ pub fn of_flags(
     let safety = args.safety(trial.deployment.stepping);
     trial = physics(args, fitted, trial)?.clamp(args.clamp).safety(safety);
     if let Some(path) = &args.episodes_file {
-        trial.layouts = episodes(path, args, &*scenario)?;
+        trial.layouts = layouts(path, (args, episodes), &*scenario)?;
     }
     // Checked without and then with the faults, so that errors name the right file.
     let place = match &args.deployment {
@@ -126,19 +139,41 @@ pub fn of_flags(
     trial.check().map_err(|e| BadInput(format!("{place}: {e}")))?;
     trial.range = conditions::range(args.comm_range_m, args.comm_range_std_m, &trial)?;
     if let Some(given) = &args.faults {
-        trial.faults = conditions::faults(given, &trial)?;
+        trial.faults = conditions::faults(given, &trial, |path, what| args.changes.read("faults", path, what))?;
         trial.check().map_err(|e| BadInput(format!("the fault plan '{given}': {e}")))?;
     }
-    if args.trajectories.is_some() {
-        trial.steps = Steps::Reported;
-    }
-    Ok((trial, policy))
+    Ok(Defined { trial, policy, warnings })
 }
 
-/// Returns the episodes of a file.
-fn episodes(path: &Path, args: &Args, scenario: &dyn Scenario) -> Result<Layouts> {
+/// Returns the registry with the task file of `--scenario` as it is with changed fields.
+fn with_changed_task(args: &Setup, registry: &Registry) -> Result<Registry> {
+    if !args.changes.concern("scenario") {
+        return Ok(registry.clone());
+    }
+    let path = &args.scenario;
+    if !path.ends_with(".toml") {
+        return bad(format!("--scenario: '{path}' is no task file (FILE.toml), and a field of it changes"));
+    }
+    let wrong = |error: ConfigError| BadInput(format!("the task file '{path}': {error}"));
+    let task = TaskFile::read(&args.changes.read("scenario", Path::new(path), "task file")?).map_err(wrong)?;
+    registry.check_senses(&task).map_err(wrong)?;
+    Ok(registry.clone().with_task(path, task))
+}
+
+/// Returns the deployment of the preset mode of `--mode`, with changed fields.
+fn preset(args: &Setup, robots: usize, registry: &Registry) -> Result<Deployment> {
+    let preset = Deployment::preset(&args.mode, robots).expect("the parser lets only modes through");
+    if !args.changes.concern("deployment") {
+        return Ok(preset);
+    }
+    let text = args.changes.over("deployment", preset.to_toml())?;
+    conditions::deployment(&text, Path::new(&args.mode), registry)
+}
+
+/// Returns the layouts of the episodes of a file.
+fn layouts(path: &Path, (args, episodes): (&Setup, u32), scenario: &dyn Scenario) -> Result<Layouts> {
     let text = read_text(path, "episodes file")?;
-    let layouts = Layouts::from_json(&text, scenario, args.episodes())
+    let layouts = Layouts::from_json(&text, scenario, episodes)
         .map_err(|e| BadInput(format!("the episodes file '{}': {e}", path.display())))?;
     if args.placement == Some(Placement::Drive) && !layouts.chained() {
         let reason = "its episodes do not start where those before them have ended";
@@ -150,16 +185,16 @@ fn episodes(path: &Path, args: &Args, scenario: &dyn Scenario) -> Result<Layouts
 /// Returns the deployment with the senses and roles of the files that the flags name. `place` returns another place of
 /// a policy of a role.
 fn of_files(
-    args: &Args,
+    args: &Setup,
     mut deployment: Deployment,
     registry: &Registry,
     place: &dyn Fn(&Path) -> Option<PathBuf>,
 ) -> Result<Deployment> {
     if let Some(path) = &args.senses {
-        deployment = perceiving(path, deployment, registry)?;
+        deployment = perceiving((args, path), deployment, registry)?;
     }
     if let Some(path) = &args.roles {
-        deployment = in_roles(path, deployment, registry)?;
+        deployment = in_roles((args, path), deployment, registry)?;
     }
     for policy in deployment.roles.values_mut().filter_map(|role| role.policy.as_mut()) {
         *policy = place(policy).unwrap_or_else(|| std::mem::take(policy));
@@ -168,16 +203,16 @@ fn of_files(
 }
 
 /// Returns the deployment with the senses of a file.
-fn perceiving(path: &Path, deployment: Deployment, registry: &Registry) -> Result<Deployment> {
-    let text = read_text(path, "senses file")?;
+fn perceiving((args, path): (&Setup, &Path), deployment: Deployment, registry: &Registry) -> Result<Deployment> {
+    let text = args.changes.read("senses", path, "senses file")?;
     let wrong = |error: ConfigError| BadInput(format!("the senses file '{}': {error}", path.display()));
     let senses = deploy::senses_of(&text).map_err(wrong)?;
     Ok(deployment.perceiving(registry, senses).map_err(wrong)?)
 }
 
 /// Returns the deployment with the roles of a file.
-fn in_roles(path: &Path, deployment: Deployment, registry: &Registry) -> Result<Deployment> {
-    let text = read_text(path, "roles file")?;
+fn in_roles((args, path): (&Setup, &Path), deployment: Deployment, registry: &Registry) -> Result<Deployment> {
+    let text = args.changes.read("roles", path, "roles file")?;
     let wrong = |error: ConfigError| BadInput(format!("the roles file '{}': {error}", path.display()));
     let folder = path.parent().unwrap_or(Path::new(""));
     let roles = deploy::roles_of(registry, &text, folder).map_err(wrong)?;
@@ -200,14 +235,14 @@ fn check_pace(deployment: &Deployment, registry: &Registry) -> Result<()> {
 }
 
 /// Returns the trial with the properties of simulated robots that the flags set.
-fn physics(args: &Args, fitted: &Conditions, mut trial: Trial) -> Result<Trial> {
+fn physics(args: &Setup, fitted: &Conditions, mut trial: Trial) -> Result<Trial> {
     if let Some(lag_s) = args.lag_s.filter(|lag_s| !(0.0..=10.0).contains(lag_s)) {
         return bad(format!("--lag-s: {lag_s} is not 0 to 10"));
     }
     if let Some(radius_m) = args.wall_radius_m.filter(|radius_m| !(*radius_m > 0.0 && *radius_m <= 10.0)) {
         return bad(format!("--wall-radius-m: {radius_m} is not above 0 and at most 10"));
     }
-    let Args { lag_s, contacts, wall_radius_m, sensor, .. } = *args;
+    let Setup { lag_s, contacts, wall_radius_m, sensor, .. } = *args;
     let overrides = Overrides { lag_s, contacts, wall_radius_m, sensor };
     // An unknown plant in a file is reported later, with the file's other errors.
     if let Ok(entry) = trial.registry.plant(&trial.deployment.plant) {

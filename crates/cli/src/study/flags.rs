@@ -290,7 +290,7 @@ impl Shared {
 
 /// Returns the text that identifies the program in records: the digest of this crate's sources. If another crate has
 /// added entries to the registry, a digest of the executable is appended.
-fn build(registry: &Registry) -> Result<String> {
+pub fn build(registry: &Registry) -> Result<String> {
     if !registry.is_extended() {
         return Ok(murmurate_robot::build::digest().to_owned());
     }

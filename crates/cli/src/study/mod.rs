@@ -4,8 +4,10 @@
 mod flags;
 mod folder;
 mod network;
+mod part;
 mod run;
 mod shard;
+mod sweep;
 mod trials;
 mod twin;
 
@@ -33,7 +35,6 @@ use murmurate_robot::BadInput;
 use murmurate_robot::Ended;
 use murmurate_robot::output::{print, talk};
 pub use network::medium;
-use shard::Shard;
 
 /// Runs a whole study: the same policies in several columns of conditions, with a report.
 #[derive(clap::Subcommand)]
@@ -44,6 +45,8 @@ pub enum Args {
     Delay(Box<flags::Delay>),
     /// Success over the communication radius (mode onboard-adhoc)
     Range(Box<flags::Range>),
+    /// Simulations over the values of one or two flags of 'sim', or of fields in its files
+    Sweep(Box<sweep::Args>),
     /// Delivery of a team's messages by addressing, reliability and message rate
     Network(Box<network::Args>),
     /// A model of a recorded run: fitted to half of its episodes, compared with the other half
@@ -69,6 +72,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         Args::Modes(flags) => (flags.study(registry)?, &flags.shared),
         Args::Delay(flags) => (flags.study(registry)?, &flags.shared),
         Args::Range(flags) => (flags.study(registry)?, &flags.shared),
+        Args::Sweep(flags) => return sweep::run(flags, registry),
         Args::Network(flags) => return network::run(flags, registry),
         Args::Twin(flags) => return twin::run(flags, registry),
     };
@@ -81,7 +85,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let records = run_all(&study, folder.as_ref(), &stop, shared)?;
     let trials = [records.len(), study.jobs().len()];
     if let (Some(shard), Some(folder)) = (shared.shard, &folder) {
-        return part_is_done(&study, shard, &records, (folder, &shared.run));
+        let finished: BTreeSet<Job> = records.iter().map(|(job, _)| *job).collect();
+        return part::is_done((study.name, shard), &study.jobs(), &finished, (folder, &shared.run));
     }
     let interrupted = trials[0] < trials[1];
     let results = Results::of(&study, &records);
@@ -107,47 +112,6 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
 }
 
-/// Output with `--json` of one part of a study, which the flag `--shard` selects.
-#[derive(Serialize)]
-struct Part<'a> {
-    study: &'a str,
-    shard: String,
-    /// Number of finished trials of this part, and number of all its trials.
-    trials: [usize; 2],
-    interrupted: bool,
-}
-
-/// Prints how many trials of the part `shard` of a study are finished. Without `--json` nothing goes to stdout.
-fn part_is_done(
-    study: &Study,
-    shard: Shard,
-    records: &[(Job, TrialRecord)],
-    (folder, run): (&Folder, &run::Run),
-) -> Result<Ended> {
-    let mine: BTreeSet<Job> =
-        study.jobs().into_iter().enumerate().filter(|(at, _)| shard.has(*at)).map(|(_, job)| job).collect();
-    let done = records.iter().filter(|(job, _)| mine.contains(job)).count();
-    let interrupted = done < mine.len();
-    if run.json {
-        let part = Part { study: study.name, shard: shard.to_string(), trials: [done, mine.len()], interrupted };
-        print(&serde_json::to_string(&part).context("a report is JSON")?)?;
-    }
-    if interrupted || !run.quiet {
-        let left = study.jobs().len() - records.len();
-        let next = match (interrupted, left) {
-            (true, _) => "interrupted; the same command goes on from there".to_owned(),
-            (false, 0) => "all trials are there: the same command without --shard writes the report".to_owned(),
-            (false, left) => format!("missing here: {} of other shards", counted(left, "trial")),
-        };
-        talk(&format!(
-            "shard {shard}: {done} of {} kept in '{}'; {next}",
-            counted(mine.len(), "trial"),
-            folder.path().display()
-        ));
-    }
-    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
-}
-
 /// Returns the trial of a recorded simulation, from the recorded arguments of `study`, its column and policy in the
 /// study, and the index of its repeat.
 pub fn of_record(arguments: &[String], (job, repeat): (StudyJob, u32), registry: &Registry) -> Result<Trial> {
@@ -158,7 +122,9 @@ pub fn of_record(arguments: &[String], (job, repeat): (StudyJob, u32), registry:
         Args::Modes(flags) => flags.study(registry)?,
         Args::Delay(flags) => flags.study(registry)?,
         Args::Range(flags) => flags.study(registry)?,
-        Args::Network(_) | Args::Twin(_) => return Err(wrong("this study records nothing".to_owned()).into()),
+        Args::Sweep(_) | Args::Network(_) | Args::Twin(_) => {
+            return Err(wrong("this study records nothing".to_owned()).into());
+        }
     };
     let StudyJob { column, policy } = job;
     if column >= study.columns.len() || policy >= study.policies.len() {

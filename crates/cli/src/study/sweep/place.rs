@@ -1,0 +1,37 @@
+//! Quantity that an axis of a sweep varies, and its values.
+
+use toml::{Table, Value};
+
+/// Quantity that an axis varies.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// A flag of `sim`, without `--`.
+    Flag(String),
+    /// A field in the file that a flag names.
+    Field {
+        /// The flag, without `--`.
+        flag: String,
+        /// Path of the field in the file.
+        field: Vec<String>,
+    },
+}
+
+/// Returns a value as it would be written in a file (TOML); text needs no quotes.
+pub fn toml_value(text: &str) -> Value {
+    let read = format!("value = {text}").parse::<Table>().ok();
+    read.and_then(|mut table| table.remove("value")).unwrap_or_else(|| Value::String(text.to_owned()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_those_of_a_file_and_text_needs_no_quotes() {
+        assert_eq!(toml_value("6"), Value::Integer(6));
+        assert_eq!(toml_value("0.5"), Value::Float(0.5));
+        assert_eq!(toml_value("ofdm-6"), Value::String("ofdm-6".to_owned()));
+        assert_eq!(toml_value("\"6\""), Value::String("6".to_owned()));
+        assert_eq!(toml_value("[1, 2]").as_array().map(Vec::len), Some(2));
+    }
+}
