@@ -24,8 +24,8 @@ use murmurate::world::Placement;
 use murmurate_train::air::{Air, Buffers, Bursts, Given, Options};
 
 /// Time from the first messages to the first ages that count, and how long they count \[s\].
-const WARM_S: f64 = 1.0;
-const COUNTED_S: f64 = 2.0;
+const WARM_S: f64 = 0.5;
+const COUNTED_S: f64 = 1.5;
 
 /// Number of environments of the air for each run of the actors, so that its own chance is small beside theirs.
 const COPIES: usize = 4;
@@ -86,7 +86,7 @@ const PLAIN: Setting = Setting {
     loss: 0.0,
     bursts: None,
     range_m: None,
-    runs: 3000,
+    runs: 2000,
 };
 
 /// Messages of the kind that is compared are those of robots to each other, or, where agents drive robots over a link,
@@ -100,18 +100,39 @@ fn settings() -> Vec<Setting> {
     let near = |name: &str| radio(name).map(|radio| Radio { range_m: Some(1.5), ..radio });
     let bursts = Some(Bursts { share: 0.3, mean_s: 0.3 });
     vec![
-        Setting { name: "loss 0.3", robots: 3, hold_ms: 100, loss: 0.3, runs: 6000, ..PLAIN },
+        Setting { name: "loss 0.3", robots: 3, hold_ms: 100, loss: 0.3, runs: 4000, ..PLAIN },
         Setting { name: "delay 0.12 s, loss 0.1, 10 Hz", period_ms: 100, delay_s: 0.12, loss: 0.1, ..PLAIN },
         Setting { name: "delays 0 to 0.15 s, loss 0.2", robots: 4, hold_ms: 100, drawn_s: 0.15, loss: 0.2, ..PLAIN },
-        Setting { name: "bursts of 0.3 s, 30 %", robots: 3, bursts, runs: 12_000, ..PLAIN },
-        Setting { name: "range 1.5 m, loss 0.1", robots: 8, range_m: Some(1.5), loss: 0.1, ..PLAIN },
+        Setting { name: "bursts of 0.3 s, 30 %", robots: 3, bursts, runs: 4000, ..PLAIN },
+        Setting { name: "range 1.5 m, loss 0.1", robots: 8, range_m: Some(1.5), loss: 0.1, runs: 1500, ..PLAIN },
         Setting { name: "wifi-n, long messages", robots: 12, floats: 200, radio: radio("wifi-n"), runs: 1000, ..PLAIN },
-        Setting { name: "wifi", robots: 10, floats: 32, radio: radio("wifi"), runs: 1500, ..PLAIN },
+        Setting { name: "wifi", robots: 10, floats: 32, radio: radio("wifi"), runs: 1000, ..PLAIN },
         Setting { name: "wifi-slow, 77 % load", robots: 6, floats: 128, radio: radio("wifi-slow"), ..PLAIN },
-        Setting { name: "paper, loss 0.1, delay 0.02 s", hold_ms: 100, loss: 0.1, delay_s: 0.02, radio: radio("paper"), ..PLAIN },
-        Setting { name: "wifi-n, range 1.5 m, 50 Hz", robots: 8, period_ms: 20, radio: near("wifi-n"), runs: 1500, ..PLAIN },
-        Setting { name: "unicast, wifi-slow", mode: "offboard", robots: 8, radio: radio("wifi-slow"), ..PLAIN },
-        Setting { name: "unicast, wifi", mode: "offboard", robots: 12, radio: radio("wifi"), ..PLAIN },
+        Setting {
+            name: "paper, loss 0.1, delay 0.02 s",
+            hold_ms: 100,
+            loss: 0.1,
+            delay_s: 0.02,
+            radio: radio("paper"),
+            ..PLAIN
+        },
+        Setting {
+            name: "wifi-n, range 1.5 m, 50 Hz",
+            robots: 8,
+            period_ms: 20,
+            radio: near("wifi-n"),
+            runs: 1000,
+            ..PLAIN
+        },
+        Setting {
+            name: "unicast, wifi-slow",
+            mode: "offboard",
+            robots: 8,
+            radio: radio("wifi-slow"),
+            runs: 1500,
+            ..PLAIN
+        },
+        Setting { name: "unicast, wifi", mode: "offboard", robots: 12, radio: radio("wifi"), runs: 1000, ..PLAIN },
     ]
 }
 
@@ -204,7 +225,7 @@ impl Setting {
         }
         trial.steps = Steps::Reported;
         trial.everywhere = true;
-        trial.lasting(Span::from_secs(WARM_S + COUNTED_S + 2.0))
+        trial.lasting(Span::from_secs(WARM_S + COUNTED_S + 1.0))
     }
 
     /// Runs the actors, adds what they hold to `held`, and returns what they have sent.
@@ -220,7 +241,7 @@ impl Setting {
             log.note((now, host), &event, (kind, &mine, robots as u16));
         };
         let report = trial.run_observed(report, |_, _, _| Proceed::Continue);
-        assert!(report.simulated >= Span::from_secs(WARM_S + COUNTED_S + 1.0), "{}", self.name);
+        assert!(report.simulated >= Span::from_secs(WARM_S + COUNTED_S + 0.5), "{}", self.name);
         let log = log.borrow();
         let began = log.sent.values().map(|sent| sent[0].0).max().expect("robots send");
         self.count(&log, began, held);
