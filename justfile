@@ -148,6 +148,10 @@ full-python-robots python="python3":
     cargo build --locked --release
     {{python}} tests/peers/python/robots.py target/release/murmurate
 
+# Ages and shares of messages of `murmurate.Channel` beside runs of the actors, twelve settings, 1000 to 4000 runs each (25 minutes)
+full-channel:
+    MURMURATE_CHANNEL_RUNS=full cargo test --locked --package murmurate-train --test learning channel:: -- --nocapture
+
 # The twin of a real run behind a relay between network namespaces: 64 episodes, fitted and predicted (12 minutes, root, ip)
 full-twin:
     cargo build --release

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections import deque
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,8 @@ def spoken(
 
     Speech is the environment's own: agents that are not ``silent`` utter ``dim_c`` floats, their ``state.c``, which others
     observe. Each agent now observes what it has last heard of each other one, and zeros where that is nothing. Rewards, ends
-    and the pictures know what was said. All takes it that takes a scenario::
+    and the pictures know what was said. Gradients pass through what was heard (``grad_enabled`` of VMAS). All takes it that
+    takes a scenario::
 
         env = VmasEnv(spoken("simple_reference", radio="wifi", loss=0.2), num_envs=64)
 
@@ -64,8 +66,11 @@ class _Spoken(BaseScenario):
         if world.dim_c == 0 or not any(speaks):
             raise ValueError("scenario: its agents say nothing; murmurate.torchrl.Messages adds messages to any")
         options = {"period_s": world.dt, **self._options}
-        self._spoken = Spoken((batch_dim, len(world.agents), world.dim_c), True, self._bytes, options)
+        self._spoken = Spoken((batch_dim, len(world.agents), 0), True, self._length(world), options)
         self._sends = np.tile(np.array(speaks), (batch_dim, 1))
+        #: What was said in the newest steps (N, R, M), the number of all steps, and in which one each episode has begun (N).
+        self._said = deque(maxlen=self._spoken.channel.memory)
+        self._steps, self._began = 0, np.zeros(batch_dim, np.int64)
         self._heard = torch.zeros(batch_dim, len(world.agents), len(world.agents), world.dim_c, device=device)
         return world
 
@@ -80,15 +85,22 @@ class _Spoken(BaseScenario):
                 channel.reset(seed=int(torch.randint(2**62, (1,))))
         else:
             channel.reset()
+        if env_index is None:
+            self._said.clear()
+        self._began[slice(None) if env_index is None else env_index] = self._steps
         self._listen()
 
     def pre_step(self) -> None:
         super().pre_step()
-        world, (n, _, floats) = self.world, self._spoken.size
-        silence = torch.zeros(n, floats, device=world.device)
+        world = self.world
+        silence = torch.zeros_like(self._heard[:, 0, 0])
         said = torch.stack([silence if agent.silent else agent.action.c for agent in world.agents], 1)
         position = torch.stack([agent.state.pos for agent in world.agents], 1)
-        self._spoken.send(_array(said), _array(position), sends=self._sends)
+        if not said.isfinite().all():
+            raise ValueError("actions: what an agent says is not finite")
+        self._spoken.send(np.zeros(self._spoken.size, np.float32), position.detach().cpu().numpy(), sends=self._sends)
+        self._said.append(said)
+        self._steps += 1
         self._listen()
 
     def observation(self, agent: Agent) -> Any:
@@ -97,13 +109,22 @@ class _Spoken(BaseScenario):
         with heard_speech((other.state, "c", self._heard[:, listener, at]) for at, other in others):
             return super().observation(agent)
 
+    def _length(self, world: World) -> int:
+        return 40 + 4 * world.dim_c if self._bytes is None else self._bytes
+
     def _listen(self) -> None:
-        self._heard = torch.from_numpy(self._spoken.channel.said).clone().to(self.world.device)
+        """Looks up what each agent has last heard of each other one."""
+        channel, (n, r, _) = self._spoken.channel, self._spoken.size
+        if not self._said:
+            self._heard = torch.zeros_like(self._heard)
+            return
+        step = self._began[:, None, None] + channel.index - self._steps + len(self._said)
+        device = self.world.device
+        at = torch.from_numpy(np.where(channel.heard, step, 0)).to(device)
+        environment, sender = torch.arange(n, device=device)[:, None, None], torch.arange(r, device=device)
+        heard = torch.from_numpy(channel.heard.copy()).to(device)
+        self._heard = torch.stack(list(self._said))[at, environment, sender] * heard.unsqueeze(-1)
 
 
 def _restored(of: str | type[BaseScenario], length: int | None, options: dict[str, Any]) -> BaseScenario:
     return spoken(of, bytes=length, **options)
-
-
-def _array(tensor: torch.Tensor) -> np.ndarray:
-    return np.ascontiguousarray(tensor.detach().to(torch.float32).cpu().numpy())

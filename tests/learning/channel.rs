@@ -107,7 +107,7 @@ fn settings() -> Vec<Setting> {
         Setting { name: "range 1.5 m, loss 0.1", robots: 8, range_m: Some(1.5), loss: 0.1, runs: 1500, ..PLAIN },
         Setting { name: "wifi-n, long messages", robots: 12, floats: 200, radio: radio("wifi-n"), runs: 1000, ..PLAIN },
         Setting { name: "wifi", robots: 10, floats: 32, radio: radio("wifi"), runs: 1000, ..PLAIN },
-        Setting { name: "wifi-slow, 77 % load", robots: 6, floats: 128, radio: radio("wifi-slow"), ..PLAIN },
+        Setting { name: "wifi-slow, 77 % load", robots: 6, floats: 128, radio: radio("wifi-slow"), runs: 6000, ..PLAIN },
         Setting {
             name: "paper, loss 0.1, delay 0.02 s",
             hold_ms: 100,

@@ -123,7 +123,7 @@ impl Options {
 
     /// Returns the number of newest steps whose messages may still count at the end of a step: messages are on their
     /// way first, and are held then.
-    pub(super) fn memory(&self) -> usize {
+    pub fn memory(&self) -> usize {
         let on_radio_s = if self.radio.is_some() { LONGEST_ON_RADIO_S } else { 0.0 };
         let way_s = on_radio_s + self.delay_s[1] + LONGEST_TAIL * self.tail_s;
         ((way_s + self.hold_s) / self.period_s).ceil() as usize + 1
