@@ -170,3 +170,27 @@ def test_what_is_said_in_mpe_is_heard_as_many_steps_later_as_its_delay():
             assert (observation[-10:] == expected).all(), step
     with pytest.raises(ValueError, match="env: its agents say nothing"):
         spoken(need("mpe2.simple_spread_v3").parallel_env())
+
+
+def test_gradients_reach_a_speaker_from_what_was_heard_as_late_as_it_was():
+    need("vmas")
+    import torch
+    from vmas import make_env
+
+    from murmurate.vmas import spoken
+
+    env = make_env(spoken("simple_reference", delay_s=0.15), 3, seed=0, grad_enabled=True)
+    assert env.scenario._spoken.channel.memory == 13
+    words = [torch.full((3, 10), 0.5, requires_grad=True) for _ in range(6)]
+    for step, word in enumerate(words):
+        if step == 3:
+            env.reset_at(1)
+        seen = env.step([torch.cat([torch.zeros(3, 2), word], 1), torch.zeros(3, 12)])[0]
+    seen[1][:, -10:].sum().backward()
+    # A message of two steps ago; the environment that has begun anew has heard it, too.
+    assert [0.0 if word.grad is None else float(word.grad.sum()) for word in words] == [0, 0, 0, 0, 30, 0]
+    seen = env.step([torch.cat([torch.zeros(3, 2), words[0]], 1), torch.zeros(3, 12)])[0]
+    assert (seen[1][:, -10:] == 0.5).all()
+    with pytest.raises(ValueError, match="actions: what an agent says is not finite"):
+        env.scenario.world.agents[0].action.c = torch.full((3, 10), torch.inf)
+        env.scenario.pre_step()

@@ -60,8 +60,6 @@ struct Setting {
     hold_ms: u64,
     floats: usize,
     radio: Option<Radio>,
-    /// Load of other networks on the air's channel, in place of hosts that it does not have.
-    instead: f64,
     delay_s: f64,
     /// Largest delay that is drawn for each message, in addition \[s\].
     drawn_s: f64,
@@ -80,7 +78,6 @@ const PLAIN: Setting = Setting {
     hold_ms: 400,
     floats: 16,
     radio: None,
-    instead: 0.0,
     delay_s: 0.0,
     drawn_s: 0.0,
     loss: 0.0,
@@ -107,7 +104,14 @@ fn settings() -> Vec<Setting> {
         Setting { name: "range 1.5 m, loss 0.1", robots: 8, range_m: Some(1.5), loss: 0.1, runs: 1500, ..PLAIN },
         Setting { name: "wifi-n, long messages", robots: 12, floats: 200, radio: radio("wifi-n"), runs: 1000, ..PLAIN },
         Setting { name: "wifi", robots: 10, floats: 32, radio: radio("wifi"), runs: 1000, ..PLAIN },
-        Setting { name: "wifi-slow, 77 % load", robots: 6, floats: 128, radio: radio("wifi-slow"), runs: 6000, ..PLAIN },
+        Setting {
+            name: "wifi-slow, long messages",
+            robots: 6,
+            floats: 128,
+            radio: radio("wifi-slow"),
+            runs: 6000,
+            ..PLAIN
+        },
         Setting {
             name: "paper, loss 0.1, delay 0.02 s",
             hold_ms: 100,
@@ -285,7 +289,7 @@ impl Setting {
         let robots = self.robots + usize::from(kind(self.mode) == Kind::MotorCommand);
         let radio = self.radio.clone().map(|radio| {
             let channel = self.medium().topology().expect("a radio");
-            Radio { channel, background: radio.background + self.instead, ..radio }
+            Radio { channel, ..radio }
         });
         Options {
             environments,
