@@ -176,6 +176,13 @@ struct Traffic {
     places: Vec<Vec<Vec2>>,
 }
 
+/// What a receiver held at a time: senders, and when that had arrived.
+struct Look {
+    at: Time,
+    receiver: HostId,
+    held: Vec<(HostId, Time)>,
+}
+
 /// Events of one run of the actors.
 #[derive(Default)]
 struct Log {
@@ -185,11 +192,8 @@ struct Log {
     times: BTreeMap<(HostId, u32), Time>,
     /// When what has arrived was sent, by receiver, sender and arrival.
     arrivals: BTreeMap<(HostId, HostId), BTreeMap<Time, Time>>,
-    /// Who has looked when, and what of the others it held: the times at which that had arrived.
-    looks: Vec<(Time, HostId, Vec<(HostId, Time)>)>,
+    looks: Vec<Look>,
     places: Vec<(Time, Vec<Vec2>)>,
-    /// Datagrams on the same link of other kinds, and their bytes.
-    others: (u64, usize),
 }
 
 impl Setting {
@@ -255,12 +259,12 @@ impl Setting {
     fn count(&self, log: &Log, began: Time, held: &mut Held) {
         let (from, to) = (began + Span::from_secs(WARM_S), began + Span::from_secs(WARM_S + COUNTED_S));
         let hold = Span::from_millis(self.hold_ms);
-        for (now, receiver, heard) in log.looks.iter().filter(|(now, _, _)| (from..to).contains(now)) {
-            held.looks += self.robots as u64 - u64::from(usize::from(receiver.0) < self.robots);
-            for (sender, arrived) in heard {
-                let sent = log.arrivals[&(*receiver, *sender)][arrived];
-                if now.since(*arrived) <= hold {
-                    held.ages_s.push(now.since(sent).as_secs());
+        for look in log.looks.iter().filter(|look| (from..to).contains(&look.at)) {
+            held.looks += self.robots as u64 - u64::from(usize::from(look.receiver.0) < self.robots);
+            for (sender, arrived) in &look.held {
+                let sent = log.arrivals[&(look.receiver, *sender)][arrived];
+                if look.at.since(*arrived) <= hold {
+                    held.ages_s.push(look.at.since(sent).as_secs());
                 }
             }
         }
@@ -348,29 +352,24 @@ impl Setting {
 impl Log {
     fn note(&mut self, (now, host): (Time, HostId), event: &Event, (kind, mine, robots): (Kind, &BTreeSet<u16>, u16)) {
         match event {
-            Event::Sent(link, frame) if mine.contains(&link.0) => {
-                if codec::first(frame) != Ok(Content::Message(kind)) {
-                    self.others.0 += 1;
-                    self.others.1 += frame.len();
-                    return;
-                }
+            Event::Sent(link, frame) if mine.contains(&link.0) && codec::first(frame) == Ok(Content::Message(kind)) => {
                 let header = codec::peek(frame).expect("it was encoded here");
                 self.sent.entry(host.0).or_default().push((now, frame.len() as u32));
                 self.times.insert((host, header.sequence), now);
             }
-            Event::Arrived(link, frame) if mine.contains(&link.0) => {
-                if codec::first(frame) == Ok(Content::Message(kind)) {
-                    let header = codec::peek(frame).expect("it was encoded here");
-                    let sent = self.times[&(header.sender, header.sequence)];
-                    self.arrivals.entry((host, header.sender)).or_default().insert(now, sent);
-                }
+            Event::Arrived(link, frame)
+                if mine.contains(&link.0) && codec::first(frame) == Ok(Content::Message(kind)) =>
+            {
+                let header = codec::peek(frame).expect("it was encoded here");
+                let sent = self.times[&(header.sender, header.sequence)];
+                self.arrivals.entry((host, header.sender)).or_default().insert(now, sent);
             }
             Event::Perceived(robot, heard) if kind == Kind::Latent => {
                 let heard = heard.iter().map(|(other, age)| {
                     let arrived = Time::ZERO + Span::from_nanos(now.since(Time::ZERO).as_nanos() - age.as_nanos());
                     (HostId(other.0), arrived)
                 });
-                self.looks.push((now, HostId(robot.0), heard.collect()));
+                self.looks.push(Look { at: now, receiver: HostId(robot.0), held: heard.collect() });
             }
             Event::Truth(truth) => {
                 self.places.push((now, truth.samples.iter().map(|sample| sample.motion.position).collect()));
@@ -379,8 +378,8 @@ impl Log {
                         let arrivals = self.arrivals.get(&(HostId(robots), HostId(sender)))?;
                         arrivals.keys().next_back().map(|arrived| (HostId(sender), *arrived))
                     };
-                    let heard = (0..robots).filter_map(newest).collect();
-                    self.looks.push((now, HostId(robots), heard));
+                    let held = (0..robots).filter_map(newest).collect();
+                    self.looks.push(Look { at: now, receiver: HostId(robots), held });
                 }
             }
             _ => {}
