@@ -1,4 +1,4 @@
-//! Ages and shares of messages in environments of other tools beside those in runs of the actors, with the same traffic.
+//! Ages and shares of messages in environments of others, beside those in runs of the actors with the same traffic.
 
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
