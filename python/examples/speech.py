@@ -20,47 +20,46 @@ from murmurate.vmas import spoken
 
 #: The radio on which policies are judged: half of the time a listener hears nothing, and what comes is up to 0.2 s late.
 WEAK = {"radio": "wifi", "burst_share": 0.5, "burst_s": 0.8, "delay_s": (0.0, 0.2), "hold_s": 0.2}
-STEPS, ENVS, WIDTH, RATE = 20, 64, 48, 4e-3
+STEPS, ENVS, WIDTH, RATE = 20, 64, 32, 1e-2
 
 
 def scenario_of(task):
-    """A scenario of VMAS that draws goals for each environment, where the original has one goal for all of a batch."""
+    """A scenario of VMAS in which a speaker sees where a goal is that drifts, and another agent has to be there.
+
+    In the original goals are landmarks at rest, one for all environments of a batch.
+    """
     original = load(f"{task}.py").Scenario
 
     class Scenario(original):
         def reset_world_at(self, env_index=None):
             super().reset_world_at(env_index)
-            n, agents = self.world.batch_dim, len(self.world.agents)
-            drawn = torch.randint(len(self.world.landmarks), (n, agents), device=self.world.device)
+            drawn = torch.rand(2, self.world.batch_dim, len(self.world.agents), 2, device=self.world.device) * 2 - 1
             if env_index is None:
-                self.goal = drawn
+                self.goal, self.drift = drawn[0], 0.4 * drawn[1]
             else:
-                self.goal[env_index] = drawn[env_index]
+                self.goal[env_index], self.drift[env_index] = drawn[0, env_index], 0.4 * drawn[1, env_index]
 
-        def _colors(self, speaker):
-            colors = torch.stack([landmark.color for landmark in self.world.landmarks])
-            return colors[self.goal[:, speaker]]
+        def post_step(self):
+            self.goal = self.goal + self.world.dt * self.drift
 
         def distance(self):
-            """Distance of each agent that another one leads to the goal that this one knows [m], (N, K)."""
-            places = torch.stack([landmark.state.pos for landmark in self.world.landmarks], 1)
-            at, away = torch.arange(self.world.batch_dim), []
-            for speaker, agent in enumerate(self.world.agents):
-                if not agent.silent:
-                    goal = places[at, self.goal[:, speaker]]
-                    away.append((agent.goal_a.state.pos - goal).norm(dim=1))
-            return torch.stack(away, 1)
+            """Distance of each agent that another one leads from the goal that this one knows [m], (N, K)."""
+            agents = enumerate(self.world.agents)
+            return torch.stack(
+                [(agent.goal_a.state.pos - self.goal[:, at]).norm(dim=1) for at, agent in agents if not agent.silent], 1
+            )
 
         def reward(self, agent):
             return -self.distance().mean(1)
 
         def observation(self, agent):
-            seen = super().observation(agent)
-            if agent.silent:
-                return seen
-            # The goal's colour is the whole of what a speaker observes, or comes after velocity and landmarks.
-            speaker, begin = self.world.agents.index(agent), 0 if seen.shape[1] == 3 else 2 + 2 * len(self.world.landmarks)
-            return torch.cat([seen[:, :begin], self._colors(speaker), seen[:, begin + 3 :]], 1)
+            """The place of the goal for a speaker; for who moves its own place and velocity, and what others say."""
+            agents = self.world.agents
+            seen = [] if agent.silent else [self.goal[:, agents.index(agent)]]
+            if agent.movable:
+                seen += [agent.state.pos, agent.state.vel]
+                seen += [other.state.c for other in agents if other is not agent and not other.silent]
+            return torch.cat(seen, 1)
 
     return Scenario
 

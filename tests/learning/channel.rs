@@ -128,6 +128,8 @@ fn settings() -> Vec<Setting> {
             runs: 1000,
             ..PLAIN
         },
+        // Readings, instructions and heartbeats share this channel, and the air has none of them.
+        Setting { name: "access point, wifi", mode: "onboard-infra", hold_ms: 100, radio: radio("wifi"), ..PLAIN },
         Setting {
             name: "unicast, wifi-slow",
             mode: "offboard",
@@ -169,8 +171,7 @@ impl Held {
     }
 }
 
-/// Robots' messages in a run, from the first ones on: lengths \[bytes\], 0 for none, and places \[m\], by step and then by
-/// robot.
+/// Robots' messages in a run, by step and then by robot: lengths \[bytes\], 0 for none, and places \[m\].
 struct Traffic {
     lengths: Vec<Vec<u32>>,
     places: Vec<Vec<Vec2>>,
