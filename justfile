@@ -125,7 +125,7 @@ full-metrics:
 # its rates; an absent package is a failure (30 minutes and 8 GB, most of it torch)
 full-python:
     python3 -m venv target/python
-    target/python/bin/pip install --quiet ./python benchmarl torchrl torch_geometric "ray[rllib]" pettingzoo gymnasium mpe2 pytest \
+    target/python/bin/pip install --quiet ./python benchmarl torchrl torch_geometric "ray[rllib]" pettingzoo gymnasium mpe2 vmas pytest \
         matplotlib nbclient nbformat ipykernel supersuit stable-baselines3 cloudpickle onnx onnxscript onnxruntime
     # The largest wheel that is handed on [bytes].
     MATURIN_PEP517_ARGS="--compression-level 9" target/python/bin/pip wheel --quiet --no-deps --wheel-dir target/wheels ./python
