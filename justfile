@@ -137,7 +137,7 @@ full-metrics:
 # its rates; an absent package is a failure (30 minutes and 8 GB, most of it torch)
 full-python:
     python3 -m venv target/python
-    target/python/bin/pip install --quiet ./python benchmarl torchrl torch_geometric "ray[rllib]" pettingzoo gymnasium mpe2 pytest \
+    target/python/bin/pip install --quiet ./python benchmarl torchrl torch_geometric "ray[rllib]" pettingzoo gymnasium mpe2 vmas pytest \
         matplotlib nbclient nbformat ipykernel supersuit stable-baselines3 cloudpickle onnx onnxscript onnxruntime
     # The largest wheel that is handed on [bytes].
     MATURIN_PEP517_ARGS="--compression-level 9" target/python/bin/pip wheel --quiet --no-deps --wheel-dir target/wheels ./python
@@ -159,6 +159,10 @@ full-onnxruntime:
 full-python-robots python="python3":
     cargo build --locked --release
     {{python}} tests/peers/python/robots.py target/release/murmurate
+
+# Ages and shares of messages of `murmurate.Channel` beside runs of the actors, twelve settings, 1000 to 4000 runs each (25 minutes)
+full-channel:
+    MURMURATE_CHANNEL_RUNS=full cargo test --locked --package murmurate-train --test learning channel:: -- --nocapture
 
 # The twin of a real run behind a relay between network namespaces: 64 episodes, fitted and predicted (12 minutes, root, ip)
 full-twin:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -71,6 +72,23 @@ class Spoken:
         if position is not None:
             position = np.array(position, np.float32, order="C").reshape(*self.size[:2], 2)
         self.channel.step(position, sends=sends, bytes=self._length, content=said)
+
+
+@contextlib.contextmanager
+def heard_speech(heard: Iterable[tuple[Any, str, Any]]) -> Iterator[None]:
+    """Lets states of agents have what a listener has heard of them, while the block computes what it observes.
+
+    Each entry is a state, the name of its utterance, and what was heard.
+    """
+    kept = []
+    try:
+        for state, name, value in heard:
+            kept.append((state, name, getattr(state, name)))
+            setattr(state, name, value)
+        yield
+    finally:
+        for state, name, value in kept:
+            setattr(state, name, value)
 
 
 class Begun:

@@ -31,7 +31,7 @@ class Channel:
         period_s: Duration of a step [s].
         spread_s: Longest time after the beginning of a step at which a robot sends [s]; each robot has its own, drawn for
             each episode. 0: all send at once.
-        hold_s: Age up to which a message counts [s].
+        hold_s: How long a message counts from its arrival [s].
         content: Number of floats M of a message, which ``said`` delivers; 0 leaves them to the caller, by ``index``.
         threads: Number of threads; the data do not depend on it.
         seed: Seed of all random numbers; None draws one from the operating system.
@@ -44,7 +44,8 @@ class Channel:
         num_envs: Number of environments N.
         num_robots: Number of robots R.
         period_s: Duration of a step [s].
-        hold_s: Age up to which a message counts [s].
+        hold_s: How long a message counts from its arrival [s].
+        memory: Number of newest steps whose messages may still count: who keeps contents by ``index`` keeps those of so many.
         needs_position: Whether ``step`` needs positions: there is a range.
     """
 
@@ -56,6 +57,7 @@ class Channel:
     num_robots: int
     period_s: float
     hold_s: float
+    memory: int
     needs_position: bool
     def __init__(
         self,

@@ -1,4 +1,5 @@
-"""Scenarios as tasks of BenchMARL (``pip install benchmarl torch_geometric``), for its IPPO, MAPPO and others."""
+"""Scenarios as tasks of BenchMARL (``pip install benchmarl torch_geometric``), for its IPPO, MAPPO and others; and tasks of
+others whose agents hear each other over a channel, with a graph network for them."""
 
 from __future__ import annotations
 
@@ -12,6 +13,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from ._faces import NO_MESSAGES, refuse
+from ._heard import HeardGnn, HeardGnnConfig, with_messages  # noqa: F401 (part of this module)
 from ._module import VecEnv
 from ._scenario import Task as Scenarios
 from .torchrl import Env

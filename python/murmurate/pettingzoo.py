@@ -11,7 +11,7 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
-from ._faces import NO_MESSAGES, Begun, Spoken, action_of, refuse, seen
+from ._faces import NO_MESSAGES, Begun, Spoken, action_of, heard_speech, refuse, seen
 from ._module import VecEnv
 from ._scenario import Task
 
@@ -219,3 +219,63 @@ def _message_of(agent: str, action: Any, shape: tuple[int, ...]) -> np.ndarray:
         if not isinstance(action, dict) or key not in action:
             raise ValueError(f"actions['{agent}']: '{key}' is missing; it is a dictionary of 'action' and 'message'")
     return action_of(f"actions['{agent}']['message']", action["message"], shape)
+
+
+class spoken(BaseParallelWrapper):
+    """Lets what agents of MPE say (``pip install mpe2``) travel over a :class:`murmurate.Channel`.
+
+    Speech is the environment's own: agents that are not ``silent`` utter ``dim_c`` floats, their ``state.c``, which others
+    observe. Each agent now observes what it has last heard of each other one, and zeros where that is nothing. Actions and
+    spaces stay as they are; rewards know what was said::
+
+        env = spoken(simple_reference_v3.parallel_env(), loss=0.2, delay_s=0.1)
+
+    Args:
+        env: Parallel environment with the ``world`` and the ``scenario`` of MPE.
+        bytes: Length of a datagram [bytes]; None is 4 for each float, and 40 for all else that a team says of itself.
+        options: Arguments of the channel, without ``num_envs``, ``num_robots``, ``content`` and ``threads``. ``period_s`` is a
+            step of the world by default, 0.1 s in MPE.
+
+    Raises:
+        ValueError: An argument is wrong, or the environment's agents say nothing; the message names it.
+    """
+
+    def __init__(self, env: ParallelEnv, *, bytes: int | None = None, **options: Any) -> None:
+        refuse(options, {"threads": "one team needs one thread"})
+        super().__init__(env)
+        world = getattr(env.unwrapped, "world", None)
+        speaks = [not agent.silent for agent in getattr(world, "agents", [])]
+        if not any(speaks) or not world.dim_c:
+            raise ValueError("env: its agents say nothing; murmurate.pettingzoo.messages adds messages to any")
+        self._world, self._sends = world, np.array([speaks])
+        self._speech = Spoken((1, len(speaks), world.dim_c), True, bytes, {"period_s": world.dt, **options})
+
+    def reset(self, seed: int | None = None, options: dict | None = None):
+        observations, infos = self.env.reset(seed=seed, options=options)
+        self._speech.channel.reset(seed=None if seed is None else int(seed))
+        return self._heard(observations), infos
+
+    def step(self, actions: dict[str, Any]):
+        """Sends what agents say from where they are, and advances the environment."""
+        position = np.stack([agent.state.p_pos for agent in self._world.agents])
+        observations, *rest = self.env.step(actions)
+        said = np.zeros(self._speech.size, np.float32)
+        for robot, agent in enumerate(self._world.agents):
+            if not agent.silent:
+                said[0, robot] = agent.state.c
+        self._speech.send(said, position, sends=self._sends)
+        return self._heard(observations), *rest
+
+    def state(self) -> np.ndarray:
+        """What all agents observe, one after the other, as in MPE itself."""
+        return np.concatenate([self._seen(robot) for robot in range(self._speech.size[1])])
+
+    def _seen(self, listener: int) -> np.ndarray:
+        agents, heard = self._world.agents, self._speech.channel.said[0, listener]
+        others = [(at, other) for at, other in enumerate(agents) if at != listener and not other.silent]
+        with heard_speech((other.state, "c", heard[at].astype(np.float64)) for at, other in others):
+            return self.env.unwrapped.scenario.observation(agents[listener], self._world).astype(np.float32)
+
+    def _heard(self, observations: dict[str, Any]) -> dict[str, np.ndarray]:
+        number = {agent.name: robot for robot, agent in enumerate(self._world.agents)}
+        return {agent: self._seen(number[agent]) for agent in observations}

@@ -115,8 +115,14 @@ class Messages(Transform):
 
         env = TransformedEnv(VmasEnv("navigation", num_envs=64), Messages(8, radio="wifi", position=positions_of))
 
+    With ``said`` agents also say what is known of them, so that others learn from messages what a simulator would tell at
+    once: ``Messages(said=positions_of)`` is where each one was, ``Messages(said="observation")`` is what it has observed, of
+    which a network makes the latent at the receiver as well as at the sender.
+
     Args:
-        floats: Number of floats M of a message.
+        floats: Number of floats of a message that the policy chooses. 0: it chooses none, and there is no further action.
+        said: What agents say after them: a key of the group, whose value is (N, R, K), or a function of the environment
+            without transforms that returns that. Then M is ``floats + K``.
         group: Key of the agents' part of a tensordict.
         position: Function of the environment without transforms that returns the positions of the agents [m] (N, R, 2);
             needed with ``range_m`` or a radio with a range. :func:`positions_of` is that of VMAS.
@@ -131,8 +137,9 @@ class Messages(Transform):
 
     def __init__(
         self,
-        floats: int,
+        floats: int = 0,
         *,
+        said: str | Callable[[EnvBase], torch.Tensor] | None = None,
         group: str = "agents",
         position: Callable[[EnvBase], torch.Tensor] | None = None,
         bytes: int | None = None,
@@ -140,7 +147,9 @@ class Messages(Transform):
         **options: Any,
     ) -> None:
         super().__init__(in_keys=[], out_keys=[(group, key) for key in ("messages", "heard", "age")])
-        self.floats, self.group, self.position = floats, group, position
+        if floats == 0 and said is None:
+            raise ValueError("floats: it is 0, and without 'said' a message is empty")
+        self.floats, self.said, self.group, self.position = floats, said, group, position
         self.bytes, self.send_key, self.options = bytes, send_key, options
         self._made: Spoken | None = None
 
@@ -155,8 +164,41 @@ class Messages(Transform):
                 keys, batch = ", ".join(map(str, spec.keys())), tuple(base.batch_size)
                 why = f"the environment has no agents (N, R) under '{self.group}', but {keys} and a batch of {batch}"
                 raise ValueError(f"group: {why}")
-            self._made = Spoken((*shape, self.floats), self.position is not None, self.bytes, self.options)
+            size = (*shape, self.floats + self._known(base, spec[self.group], shape))
+            self._made = Spoken(size, self.position is not None, self.bytes, self.options)
         return self._made
+
+    def clone(self) -> Messages:
+        """Returns a transform with the same arguments, for another environment."""
+        cloned = super().clone()
+        cloned._made = None
+        return cloned
+
+    def _known(self, base: EnvBase, observed: Composite, shape: tuple[int, ...]) -> int:
+        """Number of floats K of what agents say without the policy."""
+        if self.said is None:
+            return 0
+        if callable(self.said):
+            known = tuple(self.said(base).shape)
+        elif self.said in observed.keys():
+            known = tuple(observed[self.said].shape)
+        else:
+            raise ValueError(f"said: the group '{self.group}' has no '{self.said}', but {', '.join(map(str, observed.keys()))}")
+        if len(known) != 3 or known[:2] != shape:
+            raise ValueError(f"said: its shape is {list(known)} and not {list(shape)} and a number of floats")
+        return known[2]
+
+    def _message(self, tensordict: TensorDictBase) -> torch.Tensor | None:
+        """What the agents say in this step (N, R, M); None if this is a call for specs or shapes, and no step."""
+        chosen = tensordict.get((self.group, "message"), None) if self.floats else None
+        if self.floats and chosen is None:
+            return None
+        if self.said is None:
+            return chosen
+        known = self.said(self.parent.base_env) if callable(self.said) else tensordict.get((self.group, self.said), None)
+        if known is None:
+            return None
+        return known if chosen is None else torch.cat([chosen.to(known), known], -1)
 
     def _heard(self, tensordict: TensorDictBase) -> TensorDictBase:
         channel = self.spoken.channel
@@ -165,9 +207,9 @@ class Messages(Transform):
         return tensordict
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        # Before the environment moves. Without a message it is a call for specs or shapes, and no step.
-        message = tensordict.get((self.group, "message"), None)
-        if message is not None and self.parent is not None:
+        # Before the environment moves.
+        message = None if self.parent is None else self._message(tensordict)
+        if message is not None:
             numpy = lambda value: np.ascontiguousarray(value.detach().cpu().numpy())
             sends = None if self.send_key is None else numpy(tensordict.get((self.group, self.send_key)).bool())
             position = None if self.position is None else numpy(self.position(self.parent.base_env))
@@ -193,15 +235,16 @@ class Messages(Transform):
     def transform_input_spec(self, input_spec: Composite) -> Composite:
         n, r = self.spoken.size[:2]
         device, acted = self.parent.device, input_spec["full_action_spec", self.group]
-        acted["message"] = Unbounded((n, r, self.floats), device=device)
+        if self.floats:
+            acted["message"] = Unbounded((n, r, self.floats), device=device)
         if self.send_key is not None:
             acted[self.send_key] = Categorical(2, shape=(n, r), dtype=torch.bool, device=device)
         return input_spec
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        n, r = self.spoken.size[:2]
+        n, r, floats = self.spoken.size
         device, observed = self.parent.device, observation_spec[self.group]
-        observed["messages"] = Unbounded((n, r, r, self.floats), device=device)
+        observed["messages"] = Unbounded((n, r, r, floats), device=device)
         observed["heard"] = Binary(n=r, shape=(n, r, r), dtype=torch.bool, device=device)
         observed["age"] = Unbounded((n, r, r), device=device)
         return observation_spec
@@ -210,3 +253,14 @@ class Messages(Transform):
 def positions_of(env: EnvBase) -> torch.Tensor:
     """Positions [m] (N, R, 2) of the agents of an environment of VMAS, for :class:`Messages`."""
     return torch.stack([agent.state.pos for agent in env.agents], 1)
+
+
+def edges_of(heard: torch.Tensor) -> torch.Tensor:
+    """Edges (2, E) of all graphs of a batch, as PyTorch Geometric takes them: from each agent to those that have heard it.
+
+    ``heard`` is a bool (..., R, R), by receiver and then by sender. Agent r of the graph n is the node ``n * R + r``. The
+    order of the edges is that of ``messages[heard]``.
+    """
+    r = heard.shape[-1]
+    graph, receiver, sender = heard.bool().reshape(-1, r, r).nonzero(as_tuple=True)
+    return torch.stack([graph * r + sender, graph * r + receiver])

@@ -286,7 +286,13 @@ impl Channel {
         self.options.period_s
     }
 
-    /// Age up to which a message counts [s].
+    /// Number of newest steps whose messages may still count: who keeps contents by `index` keeps those of so many.
+    #[getter]
+    fn memory(&self) -> usize {
+        self.options.memory()
+    }
+
+    /// How long a message counts from its arrival [s].
     #[getter]
     fn hold_s(&self) -> f64 {
         self.options.hold_s

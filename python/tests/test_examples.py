@@ -17,7 +17,7 @@ EXAMPLES = pathlib.Path(__file__).parent.parent / "examples"
 def beside_the_examples(monkeypatch):
     monkeypatch.syspath_prepend(str(EXAMPLES))
     yield
-    for name in ("ppo", "benchmarl_passage", "four_rooms"):
+    for name in ("ppo", "benchmarl_passage", "four_rooms", "speech"):
         sys.modules.pop(name, None)
 
 
@@ -81,3 +81,30 @@ def test_the_notebook_runs_from_top_to_bottom(tmp_path, monkeypatch):
     nbclient.NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(tmp_path)}}).execute()
     pictures = [output for cell in notebook.cells for output in cell.get("outputs", []) if "image/png" in output.get("data", {})]
     assert len(pictures) == 2 and (tmp_path / "policy.safetensors").exists()
+
+
+@pytest.mark.usefixtures("with_torch")
+def test_the_notebook_of_speech_runs_from_top_to_bottom(tmp_path, monkeypatch):
+    nbclient, nbformat = need("nbclient"), need("nbformat")
+    for package in ("ipykernel", "matplotlib", "vmas"):
+        need(package)
+    monkeypatch.setenv("MURMURATE_UPDATES", "2")
+    monkeypatch.setenv("PYTHONPATH", str(EXAMPLES), prepend=":")
+    notebook = nbformat.read(EXAMPLES / "speech.ipynb", as_version=4)
+    nbclient.NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    pictures = [output for cell in notebook.cells for output in cell.get("outputs", []) if "image/png" in output.get("data", {})]
+    assert len(pictures) == 2
+
+
+@pytest.mark.usefixtures("with_torch")
+@pytest.mark.parametrize("task", ["simple_speaker_listener", "simple_reference"])
+def test_agents_that_speak_are_trained_and_judged_with_and_without_a_radio(task, monkeypatch):
+    need("vmas")
+    import speech
+
+    monkeypatch.setattr(speech, "ENVS", 16)
+    said = []
+    rows = speech.compare(task, range(2), 2, said.append)
+    assert len(rows) == 4 and len(said) == 8
+    assert all(0.1 < row[judge] < 5.0 for row in rows for judge in ("radio", "at once"))
+    assert len({row["radio"] for row in rows}) == 4, "no two teams are the same"

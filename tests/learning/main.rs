@@ -1,6 +1,7 @@
 //! Numerics of policies: gradients, whole trainings, files from Python, graph convolutions, and allocations of a step.
 
 mod allocation;
+mod channel;
 mod convolutions;
 mod experts;
 mod gradients;

@@ -36,7 +36,7 @@ pub struct Given<'a> {
 /// Buffers that a step fills, in row-major order, by receiver and then by sender.
 #[derive(Debug)]
 pub struct Buffers<'a> {
-    /// Whether the receiver has a message of the sender that is not too old \[N, R, R\].
+    /// Whether the receiver has a message of the sender that has not arrived too long ago \[N, R, R\].
     pub heard: &'a mut [bool],
     /// Time since that message was sent \[s\], \[N, R, R\]; 0 where there is none.
     pub age_s: &'a mut [f32],

@@ -8,6 +8,10 @@ use murmurate::time::Span;
 
 /// Largest number of periods for which a message is held.
 const MOST_PERIODS: f64 = 1000.0;
+/// Longest time for which messages of robots on a radio channel wait there \[s\], in multiples of the mean for an
+/// exponentially distributed delay. Of what takes longer, which six of a million such delays do, nothing is kept.
+const LONGEST_ON_RADIO_S: f64 = 2.0;
+const LONGEST_TAIL: f64 = 12.0;
 
 /// Options of the air between the robots of many teams.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -30,7 +34,8 @@ pub struct Options {
     /// Longest time after the beginning of a step at which a robot sends \[s\]. Each robot has its own, drawn for each
     /// episode; 0: all send at once.
     pub spread_s: f64,
-    /// Age up to which a message counts \[s\], from when it was sent.
+    /// Age up to which a message counts \[s\], from when it has arrived, as robots count it: they know no other clock
+    /// but their own.
     pub hold_s: f64,
     /// Distance up to which robots hear each other when a message is sent \[m\]; `None` for any.
     pub range_m: Option<f32>,
@@ -102,7 +107,7 @@ impl Options {
         let edges = robots * robots;
         let radio = if self.radio.is_some() { 2000 + 600 * robots } else { 0 };
         // Buffers, what is held, and one message on its way for each edge.
-        let row = edges * (9 + 4 * floats + 5 + 24) + 4 * self.memory() as u64 * robots * floats;
+        let row = edges * (9 + 4 * floats + 13 + 24) + 4 * self.memory() as u64 * robots * floats;
         self.environments as u64 * (500 + 20 * robots + radio + row)
     }
 
@@ -116,8 +121,11 @@ impl Options {
         Span::from_secs(self.period_s)
     }
 
-    /// Returns the number of newest steps whose messages may still count at the end of a step.
-    pub(super) fn memory(&self) -> usize {
-        (self.hold_s / self.period_s).ceil() as usize + 1
+    /// Returns the number of newest steps whose messages may still count at the end of a step: messages are on their
+    /// way first, and are held then.
+    pub fn memory(&self) -> usize {
+        let on_radio_s = if self.radio.is_some() { LONGEST_ON_RADIO_S } else { 0.0 };
+        let way_s = on_radio_s + self.delay_s[1] + LONGEST_TAIL * self.tail_s;
+        ((way_s + self.hold_s) / self.period_s).ceil() as usize + 1
     }
 }

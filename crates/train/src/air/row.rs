@@ -33,6 +33,8 @@ pub(super) struct Row {
     /// Number of the step in which the newest message was sent that the receiver has of the sender; -1 for none. By
     /// receiver and then by sender.
     newest: Vec<i32>,
+    /// When that message has arrived; the beginning for none.
+    arrived: Vec<Time>,
     /// Whether the time is a bad one, by receiver and then by sender; empty without bursts.
     bad: Vec<bool>,
     flights: Vec<Flight>,
@@ -52,6 +54,7 @@ impl Row {
             phases: vec![Span::ZERO; robots],
             order: (0..robots as u16).collect(),
             newest: vec![-1; robots * robots],
+            arrived: vec![Time::ZERO; robots * robots],
             bad: vec![false; if options.bursts.is_some() { robots * robots } else { 0 }],
             flights: Vec::new(),
             radio: None,
@@ -64,10 +67,11 @@ impl Row {
     /// Returns whether this is the air of an environment with these options, as one that was stored may not be.
     pub(super) fn fits(&self, options: &Options) -> bool {
         let (robots, edges) = (options.robots, options.robots * options.robots);
-        let lengths = [self.phases.len(), self.order.len(), self.newest.len(), self.bad.len(), self.contents.len()];
+        let Row { phases, order, newest, arrived, bad: times, contents, .. } = self;
+        let lengths = [phases.len(), order.len(), newest.len(), arrived.len(), times.len(), contents.len()];
         let bad = if options.bursts.is_some() { edges } else { 0 };
         let known = |flight: &Flight| (flight.edge as usize) < edges && (0..self.steps).contains(&flight.step);
-        lengths == [robots, robots, edges, bad, options.memory() * robots * options.floats]
+        lengths == [robots, robots, edges, edges, bad, options.memory() * robots * options.floats]
             && self.order.iter().all(|robot| usize::from(*robot) < robots)
             && self.newest.iter().all(|step| (-1..self.steps).contains(step))
             && self.flights.iter().all(known)
@@ -116,11 +120,12 @@ impl Row {
             }
             None => self.send(options, given, begin),
         }
-        let newest = &mut self.newest;
+        let (newest, arrived) = (&mut self.newest, &mut self.arrived);
         self.flights.retain(|flight| {
-            if flight.at <= end {
-                let newest = &mut newest[flight.edge as usize];
-                *newest = (*newest).max(flight.step);
+            let edge = flight.edge as usize;
+            // What comes after a newer message is refused, as by robots.
+            if flight.at <= end && flight.step > newest[edge] {
+                (newest[edge], arrived[edge]) = (flight.step, flight.at);
             }
             flight.at > end
         });
@@ -195,11 +200,11 @@ impl Row {
         for (edge, &step) in self.newest.iter().enumerate() {
             let sender = edge % robots;
             let sent = |step: i32| Time::ZERO + options.period() * step as u64 + self.phases[sender];
-            let age_s = if step < 0 { f64::INFINITY } else { now.since(sent(step)).as_secs() };
             // Half a nanosecond more than any rounding of spans.
-            let heard = age_s <= options.hold_s + 1e-9 && ((self.steps - step) as usize) <= memory;
+            let fresh = step >= 0 && now.since(self.arrived[edge]).as_secs() <= options.hold_s + 1e-9;
+            let heard = fresh && ((self.steps - step) as usize) <= memory;
             to.heard[edge] = heard;
-            to.age_s[edge] = if heard { age_s as f32 } else { 0.0 };
+            to.age_s[edge] = if heard { now.since(sent(step)).as_secs() as f32 } else { 0.0 };
             to.index[edge] = if heard { step } else { -1 };
             let content = &mut to.content[edge * floats..(edge + 1) * floats];
             if heard {

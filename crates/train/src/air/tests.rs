@@ -101,6 +101,18 @@ fn a_delayed_message_is_heard_at_the_end_of_the_step_in_which_it_arrives() {
 }
 
 #[test]
+fn a_message_is_held_from_its_arrival_on_and_its_age_counts_from_its_sending() {
+    let mut kept = Kept::new(Options { delay_s: [0.31; 2], hold_s: 0.1, floats: 1, ..options(1, 2) });
+    for step in 0..12 {
+        kept.step(Given { sends: &[step == 0, false], content: &[7.0, 0.0], ..ALL });
+        // It arrives within the seventh step, and is 0.09 s old at the end of the eighth.
+        let heard = step == 6 || step == 7;
+        assert_eq!((kept.heard[2], kept.content[2]), (heard, if heard { 7.0 } else { 0.0 }), "step {step}");
+        assert!((kept.age_s[2] - if heard { 0.05 * (step + 1) as f32 } else { 0.0 }).abs() < 1e-6, "step {step}");
+    }
+}
+
+#[test]
 fn shares_and_delays_are_those_of_the_options() {
     let steps = 200;
     let mut kept = Kept::new(Options { loss: 0.3, ..options(200, 3) });
