@@ -1,0 +1,137 @@
+//! Writes an imported run as a record: measured states as `/truth`, beginnings of episodes, receipts of messages, and what
+//! viewers draw.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use mcap::McapError;
+use serde_json::json;
+
+use murmurate::messages::geometry::{Motion, Vec2};
+use murmurate::messages::ids::{HostId, RobotId};
+use murmurate::messages::local::{Contacts, Sample, Truth};
+use murmurate::messages::geometry::Planar;
+use murmurate::scenario::{KeepOut, Scenario};
+use murmurate::time::Time;
+use murmurate_record::file::{Attached, Beginning, RecordError, RecordFile};
+use murmurate_record::identity::Identity;
+use murmurate_record::receipt::Receipt;
+use murmurate_record::topics::{Stage, Topic, Topics};
+use murmurate_record::{Event, Scope};
+
+use crate::mapping::Mapping;
+use crate::steps::{Step, Steps};
+
+/// Mode of the stage of an imported record.
+pub const MODE: &str = "imported";
+/// Width of the free ground about the robots, if neither task nor mapping gives a ground \[m\].
+const MARGIN_M: f32 = 0.5;
+
+/// All that happens at one instant of the run.
+#[derive(Default)]
+struct Instant {
+    /// Number of the episode that begins.
+    begins: Option<u32>,
+    steps: Vec<Step>,
+    receipts: Vec<Receipt>,
+}
+
+/// Returns the stage of an imported run: its robots, each on a host of its own, and the ground of its task.
+pub fn stage(mapping: &Mapping, steps: &Steps, scenario: Option<&dyn Scenario>) -> Stage {
+    let arena = scenario.map(Scenario::arena);
+    let farthest = |axis: usize| steps.steps.iter().map(|step| step.position[axis].abs() as f32).fold(0.0, f32::max);
+    let used = [0, 1].map(|axis| farthest(axis) + MARGIN_M);
+    let of_task = arena.map(|arena| arena.half_extent.to_array());
+    let hull_m = mapping.hull_m.or(arena.map(|arena| arena.hull_m())).unwrap_or(murmurate::scenario::size::HULL_M);
+    Stage {
+        scenario: mapping.task.clone().unwrap_or_else(|| "none".to_owned()),
+        mode: MODE.to_owned(),
+        hosts: mapping.names.clone(),
+        homes: (0..mapping.names.len() as u16).map(HostId).collect(),
+        robots: mapping.names.len(),
+        half_extent: mapping.half_extent_m.or(of_task).unwrap_or(used),
+        walls: arena.iter().flat_map(|arena| arena.keep_outs.iter().map(KeepOut::solid)).collect(),
+        drawn: Vec::new(),
+        movers: Vec::new(),
+        waypoints: Vec::new(),
+        unlabelled: false,
+        hull_m,
+        range_m: None,
+        senses: Vec::new(),
+    }
+}
+
+/// Writes the record of an imported run to the file `path`, which must not be there. `identity` is that of the record,
+/// and `mapping` the name and the text of its mapping.
+pub fn write(
+    path: &Path,
+    (mut identity, stage): (Identity, &Stage),
+    mapping: (String, String),
+    (steps, receipts): (&Steps, &[Receipt]),
+) -> Result<(), RecordError> {
+    let instants = instants(steps, receipts);
+    let begin_ns = instants.keys().next().copied().unwrap_or(0);
+    // Files of times since a start of their own begin at the beginning of 1970.
+    identity.anchor_ns = u64::try_from(begin_ns).unwrap_or(0);
+    identity.imported = true;
+    let shift_ns = identity.anchor_ns as i64 - begin_ns;
+    let (name, text) = mapping;
+    let attached = vec![Attached { name, media_type: "application/toml", content: text.into_bytes() }];
+    let mut topics = Topics::new(stage.clone(), Scope::Simulation, identity.anchor_ns);
+    let mut file = RecordFile::create(path, &Beginning { identity, attached }, stage)?;
+    let mut result = Ok(());
+    for (at_ns, instant) in instants {
+        let now = Time::from_nanos((at_ns - begin_ns) as u64);
+        let at = topics.time_of(now);
+        let mut take = |topic: Topic, at: u64, data: &[u8]| {
+            if result.is_ok() {
+                result = file.write(stage, topic, at, data);
+            }
+        };
+        if let Some(episode) = instant.begins {
+            let said = json!({ "repeat": 0, "episode": episode, "phase": "running" });
+            take(Topic::Episode, at, said.to_string().as_bytes());
+        }
+        for receipt in instant.receipts {
+            let (sent_ns, received_ns) = (receipt.sent_ns + shift_ns, receipt.received_ns.map(|ns| ns + shift_ns));
+            let said = json!(Receipt { sent_ns, received_ns, ..receipt });
+            take(Topic::Receipts, at, said.to_string().as_bytes());
+        }
+        if !instant.steps.is_empty() {
+            let samples = instant.steps.iter().map(|step| sample(step, now)).collect();
+            topics.instant(now, &[Event::Truth(Truth { time: now, samples })], &mut take);
+        }
+    }
+    let wrong = |error: McapError| RecordError::Write { path: path.to_owned(), reason: error.to_string() };
+    result.and_then(|()| file.finish()).map_err(wrong)
+}
+
+/// Orders all that happens by its time \[ns\]. Receipts are at the time at which their message was sent.
+fn instants(steps: &Steps, receipts: &[Receipt]) -> BTreeMap<i64, Instant> {
+    let (mut instants, mut episode): (BTreeMap<i64, Instant>, Option<u32>) = (BTreeMap::new(), None);
+    for step in &steps.steps {
+        let instant = instants.entry(step.at_ns).or_default();
+        if episode != Some(step.episode) {
+            (instant.begins, episode) = (Some(step.episode), Some(step.episode));
+        }
+        instant.steps.push(*step);
+    }
+    for receipt in receipts {
+        instants.entry(receipt.sent_ns).or_default().receipts.push(*receipt);
+    }
+    instants
+}
+
+fn sample(step: &Step, time: Time) -> Sample {
+    let vector = |[x, y]: [f64; 2]| Vec2::new(x as f32, y as f32);
+    Sample {
+        robot: RobotId(step.robot),
+        time,
+        motion: Motion { position: vector(step.position), velocity: vector(step.velocity) },
+        heading: step.heading as f32,
+        yaw_rate: 0.0,
+        command: vector(step.command),
+        // The files do not say what was touched.
+        contacts: Contacts { robot: step.touches, wall: false },
+    }
+}
