@@ -509,7 +509,11 @@ fn bag(fields: &Fields, names: &[String]) -> Result<(Source, Option<Frame>), Con
         ];
         refused("commands", &given, COLUMNS)?;
         frame = Some(commands.frame.unwrap_or(Frame::Body));
-        of_commands = Some(topics("commands.topic", &commands.topic, names)?);
+        let told = topics("commands.topic", &commands.topic, names)?;
+        if let Some(topic) = told.iter().find(|topic| of_poses.contains(topic)) {
+            return Err(ConfigError::field("commands.topic", format!("'{topic}' is a topic of poses, too")));
+        }
+        of_commands = Some(told);
     }
     let stamps = fields.stamps.unwrap_or_default();
     Ok((Source::Bag(of_poses, of_commands, stamps, poses.velocity_frame), frame))

@@ -7,10 +7,10 @@ use std::path::Path;
 use mcap::McapError;
 use serde_json::json;
 
+use murmurate::messages::geometry::Planar;
 use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::local::{Contacts, Sample, Truth};
-use murmurate::messages::geometry::Planar;
 use murmurate::scenario::{KeepOut, Scenario};
 use murmurate::time::Time;
 use murmurate_record::file::{Attached, Beginning, RecordError, RecordFile};

@@ -76,7 +76,7 @@ pub fn of(mapping: &Mapping, samples: &mut Samples) -> Result<Steps, (&'static s
     found.steps.sort_by_key(|step| (step.at_ns, step.robot));
     found.episodes = numbered(&mut found.steps);
     if found.steps.is_empty() {
-        return Err(("episodes", "none of them has a pose".to_owned()));
+        return Err(("episodes", "no pose belongs to one".to_owned()));
     }
     Ok(found)
 }

@@ -136,7 +136,8 @@ impl Row<'_> {
         let number = |name: &str| name.parse::<u64>().ok();
         let place = names.iter().position(|name| name == cell);
         // 3 and 03, as people number robots.
-        let place = place.or_else(|| names.iter().position(|name| number(name).is_some_and(|n| Some(n) == number(cell))));
+        let place =
+            place.or_else(|| names.iter().position(|name| number(name).is_some_and(|n| Some(n) == number(cell))));
         place.ok_or_else(|| self.wrong(column, "it names no robot of the mapping's 'robots'"))
     }
 }
@@ -236,11 +237,7 @@ fn quaternion(row: &Row, columns: [&Column; 4]) -> Result<Option<f64>, ImportErr
 }
 
 /// Reads the poses of all robots from a table.
-pub fn poses(
-    mapping: &Mapping,
-    (of, units): (&PoseColumns, &Units),
-    samples: &mut Samples,
-) -> Result<(), ImportError> {
+pub fn poses(mapping: &Mapping, (of, units): (&PoseColumns, &Units), samples: &mut Samples) -> Result<(), ImportError> {
     let names = &mapping.names;
     let mut sheet = Sheet::open(&mapping.path)?;
     let time = sheet.column("poses.time", &of.time)?;

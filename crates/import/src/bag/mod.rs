@@ -244,9 +244,8 @@ impl Reading<'_> {
         let count = self.counts.entry(topic.to_owned()).or_default();
         *count += 1;
         let number = *count;
-        let wrong = |why: &str| {
-            ImportError::file(path, format!("message {number} of '{}': {why}", shown::value(topic)))
-        };
+        let wrong =
+            |why: &str| ImportError::file(path, format!("message {number} of '{}': {why}", shown::value(topic)));
         if number > MOST as u64 {
             return Err(wrong("there are more than can be read: cut the bag"));
         }

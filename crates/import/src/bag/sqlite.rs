@@ -242,9 +242,11 @@ fn record(payload: &[u8]) -> Option<Vec<Value>> {
         };
         let (value, rest) = body.split_at_checked(bytes)?;
         body = rest;
-        let whole = || value.iter().fold(if *value.first().unwrap_or(&0) >= 0x80 { -1 } else { 0 }, |number: i64, byte| {
-            number << 8 | i64::from(*byte)
-        });
+        let whole = || {
+            value.iter().fold(if *value.first().unwrap_or(&0) >= 0x80 { -1 } else { 0 }, |number: i64, byte| {
+                number << 8 | i64::from(*byte)
+            })
+        };
         cells.push(match kind {
             0 => Value::Null,
             1..=6 => Value::Integer(whole()),
@@ -262,19 +264,17 @@ mod tests {
 
     #[test]
     fn numbers_of_all_lengths_and_cells_of_all_kinds_are_read() {
-        for (bytes, number) in [
-            (&[0x05][..], 5),
-            (&[0x81, 0x00], 128),
-            (&[0xff; 9], -1),
-            (&[0x82, 0x80, 0x01], 2 << 14 | 1),
-        ] {
+        for (bytes, number) in
+            [(&[0x05][..], 5), (&[0x81, 0x00], 128), (&[0xff; 9], -1), (&[0x82, 0x80, 0x01], 2 << 14 | 1)]
+        {
             let mut rest = bytes;
             assert_eq!((varint(&mut rest), rest.len()), (Some(number), 0), "{bytes:?}");
         }
         assert_eq!(varint(&mut &[0x81][..]), None);
         let payload = [7, 0, 1, 2, 9, 17, 14, 0xff, 0x01, 0x00, b'o', b'k', 0x07];
         let bytes = |text: &[u8]| Value::Bytes(text.to_vec());
-        let cells = [Value::Null, Value::Integer(-1), Value::Integer(256), Value::Integer(1), bytes(b"ok"), bytes(&[7])];
+        let cells =
+            [Value::Null, Value::Integer(-1), Value::Integer(256), Value::Integer(1), bytes(b"ok"), bytes(&[7])];
         assert_eq!(record(&payload), Some(cells.to_vec()));
         assert_eq!(record(&payload[..8]), None);
         assert_eq!(record(&[9, 1]), None);

@@ -41,9 +41,13 @@ pub struct Held {
 pub fn of_team(found: &Fitted, trial: &Trial) -> Vec<Missing> {
     let mut missing = Vec::new();
     if found.late_s.is_some() {
-        missing.push(Missing::new("slip", "the records have no true states, and slip is less than the noise of estimates"));
+        missing.push(Missing::new(
+            "slip",
+            "the records have no true states, and slip is less than the noise of estimates",
+        ));
     } else if found.lag_s.is_none() {
-        let why = format!("nothing moved without contact; the lag is that of the team file ({} s)", trial.physics.lag_s);
+        let why =
+            format!("nothing moved without contact; the lag is that of the team file ({} s)", trial.physics.lag_s);
         missing.push(Missing::new("lag and slip", why));
     }
     for (link, entry) in found.links.iter().zip(&trial.deployment.links) {
@@ -65,7 +69,9 @@ pub fn of_import(found: &Fitted, held: Held) -> Vec<Missing> {
     match found.lag_s {
         None if !held.commands => missing.push(Missing::new("lag and slip", "the mapping names no commands")),
         None => missing.push(Missing::new("lag and slip", "no robot was commanded to move")),
-        Some(_) if found.slip.is_none() => missing.push(Missing::new("slip", "no robot was commanded to drive fast enough")),
+        Some(_) if found.slip.is_none() => {
+            missing.push(Missing::new("slip", "no robot was commanded to drive fast enough"))
+        }
         Some(_) => {}
     }
     match found.all_links {

@@ -148,11 +148,8 @@ pub fn fit(run: &Run, basis: &Basis, episodes: Range<u32>) -> Fitted {
     }
     let mut stream = seed.stream("lag");
     let of_truth = lag::fit(&motion, limits, &mut stream);
-    let of_estimates = if of_truth.is_none() {
-        lag::fit_estimates(&run.estimates[within.clone()], limits, &mut stream)
-    } else {
-        None
-    };
+    let of_estimates =
+        if of_truth.is_none() { lag::fit_estimates(&run.estimates[within.clone()], limits, &mut stream) } else { None };
     let lag_s = of_truth.or(of_estimates.map(|(lag_s, _)| lag_s));
     let late_s = of_estimates.map(|(_, late_s)| late_s).or(late_s.filter(|_| of_truth.is_some()));
     let slip = of_truth.filter(|_| basis.slips);
