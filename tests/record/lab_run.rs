@@ -9,6 +9,7 @@ use serde_json::Value;
 
 use crate::program::skip::skip;
 use crate::program::{refuses, run, text};
+use crate::readers::python;
 use crate::records;
 
 use crate::twin::{DELAY_S, LOSS, recorded, rows};
@@ -153,7 +154,9 @@ fn a_run_as_csv_or_as_a_bag_tells_what_its_record_tells() {
     assert!((fitted(&import, "drivetrain lag").0 - 0.5).abs() < 0.03, "{import}");
     assert_eq!(missing(&import)[0], "delay and loss");
 
-    let Some(python) = python() else { return };
+    let Some(python) = python("rosbags") else {
+        return skip("readers", "RECORD_PYTHON is no Python with rosbags, which writes bags");
+    };
     for storage in ["mcap", "sqlite3"] {
         let to = folder.join(storage);
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/lab_run/bags.py");
@@ -166,17 +169,6 @@ fn a_run_as_csv_or_as_a_bag_tells_what_its_record_tells() {
             agrees(&record, &import, name);
         }
     }
-}
-
-/// The Python that has `rosbags`: that of the variable `ROSBAGS_PYTHON`, or `python3`. `None` if there is none.
-fn python() -> Option<String> {
-    let python = std::env::var("ROSBAGS_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let has = Command::new(&python).args(["-c", "import rosbags"]).output();
-    if has.is_ok_and(|output| output.status.success()) {
-        return Some(python);
-    }
-    skip("rosbags", "no Python with rosbags, which writes bags");
-    None
 }
 
 #[test]
