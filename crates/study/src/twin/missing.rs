@@ -7,6 +7,9 @@ use serde::Serialize;
 use super::model::Fitted;
 use murmurate::trial::Trial;
 
+/// Quantities that a prediction is compared in.
+const PREDICTED: &str = "success, makespan and message ages";
+
 /// Quantity that was not fitted.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Missing {
@@ -56,9 +59,17 @@ pub fn of_team(found: &Fitted, trial: &Trial) -> Vec<Missing> {
             missing.push(Missing::new(&quantity, "no data crossed it; it is predicted as ideal"));
         }
     }
+    if trial.deployment.links.is_empty() {
+        missing.push(Missing::new("delay and loss", "all of the team is on one host, and no message crosses hosts"));
+    }
     if found.offsets_s.iter().any(Option::is_none) {
         let why = "those of the robots drift against each other; their offsets are drawn anew for each repeat";
         missing.push(Missing::new("ticks", why));
+    }
+    if trial.deployment.check_simulated().is_err() {
+        let why =
+            "nothing is predicted: the robots are real, and a simulation has no part for their drivers and trackers";
+        missing.push(Missing::new(PREDICTED, why));
     }
     missing
 }
@@ -80,7 +91,6 @@ pub fn of_import(found: &Fitted, held: Held) -> Vec<Missing> {
         Some(_) => {}
     }
     missing.push(Missing::new("ticks", "the times at which policies step are not in a mapping"));
-    let why = "nothing is predicted: goals and policies are not in a mapping";
-    missing.push(Missing::new("success, makespan and message ages", why));
+    missing.push(Missing::new(PREDICTED, "nothing is predicted: goals and policies are not in a mapping"));
     missing
 }

@@ -229,13 +229,6 @@ fn said_of(found: &Fitted, origin: &Origin) -> (Vec<Missing>, Vec<String>) {
     let mut notes = Vec::new();
     match origin {
         Origin::Team(trial, _) => {
-            if trial.deployment.check_simulated().is_err() {
-                notes.push(
-                    "the robots are real, and a simulation has no part for their drivers and trackers: the model was \
-                     fitted, and nothing was predicted with it"
-                        .to_owned(),
-                );
-            }
             notes.extend(found.late_s.map(|late_s| {
                 format!(
                     "the records have no true states: the lag was fitted to the robots' own estimates, in which a \
