@@ -1,5 +1,5 @@
-//! Mappings, CSV files and bags that are wrong: each of many mutations is refused in one line that names the file and the
-//! place in it, or is read; nothing panics. And each field of a mapping that is wrong is named.
+//! Mappings, CSV files and bags that are wrong: each of many mutations is refused in one line that names the file and
+//! the place in it, or is read; nothing panics. And each field of a mapping that is wrong is named.
 
 use std::path::{Path, PathBuf};
 

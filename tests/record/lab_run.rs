@@ -1,5 +1,5 @@
-//! A run from elsewhere: what a record of hosts tells of lag, slip, delay and loss is told again by the same run as CSV and
-//! as a bag, and what files do not hold is named.
+//! A run from elsewhere: what a record of hosts tells of lag, slip, delay and loss is told again by the same run as CSV
+//! and as a bag, and what files do not hold is named.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -176,8 +176,8 @@ fn an_imported_record_is_shown_exported_and_described_but_not_replayed() {
     let folder = tempfile::TempDir::new().expect("a folder");
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/lab_run/run.csv");
     std::fs::copy(&data, folder.path().join("run.csv")).expect("the folder is there");
-    let mapping = "format = \"csv\"\npath = \"run.csv\"\nrobots = [\"0\", \"1\"]\nperiod_s = 0.1\nepisodes = \"episode\"\n\
-        hull_m = 0.2\n[axes]\nmove_m = [10.0, 0.0]\nturn_rad = 1.5707963267948966\n\
+    let mapping = "format = \"csv\"\npath = \"run.csv\"\nrobots = [\"0\", \"1\"]\nperiod_s = 0.1\n\
+        episodes = \"episode\"\nhull_m = 0.2\n[axes]\nmove_m = [10.0, 0.0]\nturn_rad = 1.5707963267948966\n\
         [poses]\ntime = \"time_s\"\nrobot = \"robot\"\nx = \"x_m\"\ny = \"y_m\"\n";
     let report = imported(folder.path(), "poses", mapping);
     assert_eq!(missing(&report)[..2], ["lag and slip", "delay and loss"]);

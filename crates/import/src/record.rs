@@ -1,5 +1,5 @@
-//! Writes an imported run as a record: measured states as `/truth`, beginnings of episodes, receipts of messages, and what
-//! viewers draw.
+//! Writes an imported run as a record: measured states as `/truth`, beginnings of episodes, receipts of messages, and
+//! what viewers draw.
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -1,7 +1,7 @@
 //! Reads poses, commands and receipts from CSV files, as a mapping names their columns.
 
 use std::collections::BTreeMap;
-use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use csv::{Reader, StringRecord};
@@ -14,6 +14,7 @@ use murmurate_ros2::sample;
 use crate::error::ImportError;
 use crate::mapping::{
     Angle, CommandColumns, Episodes, Frame, HeadingColumns, Length, Mapping, PoseColumns, Receipts, TimeUnit, Units,
+    of_robot,
 };
 use crate::samples::{Command, MOST, Pose, Samples};
 
@@ -25,7 +26,7 @@ const LATEST: i64 = 1 << 61;
 /// A CSV file that is being read.
 struct Sheet {
     path: PathBuf,
-    rows: Reader<File>,
+    rows: Reader<Box<dyn Read>>,
     heads: StringRecord,
 }
 
@@ -46,7 +47,7 @@ struct Column {
 impl Sheet {
     fn open(path: &Path) -> Result<Sheet, ImportError> {
         let file = regular::open(path).map_err(|error| ImportError::file(path, error))?;
-        let mut rows = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(file);
+        let mut rows = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(Box::new(file) as Box<dyn Read>);
         let heads = rows.headers().map_err(|error| wrong(path, &error))?.clone();
         Ok(Sheet { path: path.to_owned(), rows, heads })
     }
@@ -159,7 +160,7 @@ fn radians(angle: Angle) -> f64 {
 
 /// Returns the column or, if `template` has `{robot}` in it, the columns of all robots.
 fn columns(sheet: &Sheet, field: &str, template: &str, names: &[String]) -> Result<Vec<Column>, ImportError> {
-    names.iter().map(|name| sheet.column(field, &Mapping::of_robot(template, name))).collect()
+    names.iter().map(|name| sheet.column(field, &of_robot(template, name))).collect()
 }
 
 /// Columns of the poses of each robot.

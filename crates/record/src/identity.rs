@@ -48,8 +48,8 @@ pub struct Identity {
     /// Whether an operator recorded the messages that it received. Such a record cannot be replayed.
     #[serde(default)]
     pub operator: bool,
-    /// Whether the record was made of the files of another program, by the mapping that is attached. Its true states are
-    /// those that were measured, and it cannot be replayed.
+    /// Whether the record was made of the files of another program, by the mapping that is attached. Its true states
+    /// are those that were measured, and it cannot be replayed.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub imported: bool,
     /// Index of this file among the files of its record, from 0.

@@ -6,7 +6,6 @@
 //! that was not merged.
 
 use std::collections::BTreeSet;
-use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 
 /// Largest row that is read \[bytes\].
@@ -54,8 +53,8 @@ impl Value {
 }
 
 /// An open database.
-pub struct Database {
-    file: File,
+pub struct Database<F> {
+    file: F,
     page_bytes: usize,
     /// Bytes of a page that the format uses.
     usable: usize,
@@ -73,10 +72,11 @@ pub struct Table {
 /// Function that takes the number and the cells of a row, and says whether to go on.
 type Take<'a> = &'a mut dyn FnMut(i64, Vec<Value>) -> bool;
 
-impl Database {
+impl<F: Read + Seek> Database<F> {
     /// Opens a database and reads its header.
-    pub fn open(mut file: File) -> Result<Database, SqliteError> {
-        let length = file.metadata()?.len();
+    pub fn open(mut file: F) -> Result<Database<F>, SqliteError> {
+        let length = file.seek(SeekFrom::End(0))?;
+        file.seek(SeekFrom::Start(0))?;
         let mut head = [0; 100];
         let whole = file.read_exact(&mut head);
         if whole.is_err() || !head.starts_with(b"SQLite format 3\0") {

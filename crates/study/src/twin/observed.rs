@@ -213,7 +213,7 @@ impl Run {
         run
     }
 
-    /// Returns the run of an imported record, which has one clock: measured states, beginnings of episodes and receipts.
+    /// Returns the run of an imported record, which has one clock: measured states, beginnings of episodes, receipts.
     /// `period_ns` is the period of its states \[ns\].
     pub fn imported(log: &Log, robots: usize, period_ns: i64) -> Run {
         let episode_at = |ns: i64| log.begins.partition_point(|begin| *begin <= ns).saturating_sub(1) as u32;

@@ -38,8 +38,8 @@ const LEAST: usize = 4;
     table says which; 2 a flag or a record is wrong; 130 interrupted, nothing was compared."
 )]
 pub struct Args {
-    /// Records of the hosts of one run, or their folder: what 'launch --record DIR' or 'host --record DIR' wrote; or the
-    /// record of a run from elsewhere, which 'record import' wrote
+    /// Records of the hosts of one run, or their folder: what 'launch --record DIR' or 'host --record DIR' wrote; or
+    /// the record of a run from elsewhere, which 'record import' wrote
     #[arg(required = true, value_name = "FILE|DIR")]
     records: Vec<PathBuf>,
     /// Number of times that the second half of the episodes is simulated

@@ -14,7 +14,7 @@ use murmurate::messages::ids::HostId;
 use murmurate::registry::Registry;
 use murmurate::trial::Trial;
 use murmurate_import::mapping::Mapping;
-use murmurate_record::clocks::{Traffic, align};
+use murmurate_record::clocks::{Alignment, Traffic, align};
 use murmurate_record::identity::Identity;
 use murmurate_record::reader::{self, ReadError};
 use murmurate_replay::files::Files;
@@ -96,16 +96,7 @@ pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
     }
     let traffic: Vec<Traffic> = logs.iter_mut().map(|log| std::mem::take(&mut log.traffic)).collect();
     let alignment = align(&traffic);
-    for (identity, _) in identities.iter().zip(&alignment.clocks).filter(|(_, clock)| clock.is_none()) {
-        let name = identity.host.as_ref().map_or("", |host| &host.name);
-        notes.push(format!("a record of '{name}' is left out: no datagrams join its clock with the others'"));
-    }
-    let uncertainty = alignment.clocks.iter().flatten().filter_map(|clock| clock.uncertainty_ns()).max().unwrap_or(0);
-    notes.push(format!(
-        "clocks of the hosts are known to {:.1} ms: a one-way delay may be off by as much, the mean over both \
-         directions of a link is not",
-        uncertainty as f64 / 1e6
-    ));
+    notes.extend(of_clocks(&alignment, &identities));
     let routes = Routes::of(&trial.deployment);
     let team = ObservedTeam {
         routes: &routes,
@@ -116,6 +107,22 @@ pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
     };
     let run = Run::of(&logs, &alignment, &team);
     Ok(Recorded { run, origin: Origin::Team(Box::new(trial), policy), notes, digests })
+}
+
+/// Returns notes on the clocks of the hosts: which are not known, and how far the others are.
+fn of_clocks(alignment: &Alignment, identities: &[Identity]) -> Vec<String> {
+    let mut notes = Vec::new();
+    for (identity, _) in identities.iter().zip(&alignment.clocks).filter(|(_, clock)| clock.is_none()) {
+        let name = identity.host.as_ref().map_or("", |host| &host.name);
+        notes.push(format!("a record of '{name}' is left out: no datagrams join its clock with the others'"));
+    }
+    let uncertainty = alignment.clocks.iter().flatten().filter_map(|clock| clock.uncertainty_ns()).max().unwrap_or(0);
+    notes.push(format!(
+        "clocks of the hosts are known to {:.1} ms: a one-way delay may be off by as much, the mean over both \
+         directions of a link is not",
+        uncertainty as f64 / 1e6
+    ));
+    notes
 }
 
 /// Reads an imported run from its record, which is one of `named` records.
