@@ -27,9 +27,9 @@ pub const MODE: &str = "imported";
 /// Width of the free ground about the robots, if neither task nor mapping gives a ground \[m\].
 const MARGIN_M: f32 = 0.5;
 
-/// All that happens at one instant of the run.
+/// All that happens at one moment of the run.
 #[derive(Default)]
-struct Instant {
+struct Moment {
     /// Number of the episode that begins.
     begins: Option<u32>,
     steps: Vec<Step>,
@@ -69,8 +69,8 @@ pub fn write(
     mapping: (String, String),
     (steps, receipts): (&Steps, &[Receipt]),
 ) -> Result<(), RecordError> {
-    let instants = instants(steps, receipts);
-    let begin_ns = instants.keys().next().copied().unwrap_or(0);
+    let moments = moments(steps, receipts);
+    let begin_ns = moments.keys().next().copied().unwrap_or(0);
     // Files of times since a start of their own begin at the beginning of 1970.
     identity.anchor_ns = u64::try_from(begin_ns).unwrap_or(0);
     identity.imported = true;
@@ -80,7 +80,7 @@ pub fn write(
     let mut topics = Topics::new(stage.clone(), Scope::Simulation, identity.anchor_ns);
     let mut file = RecordFile::create(path, &Beginning { identity, attached }, stage)?;
     let mut result = Ok(());
-    for (at_ns, instant) in instants {
+    for (at_ns, moment) in moments {
         let now = Time::from_nanos((at_ns - begin_ns) as u64);
         let at = topics.time_of(now);
         let mut take = |topic: Topic, at: u64, data: &[u8]| {
@@ -88,17 +88,17 @@ pub fn write(
                 result = file.write(stage, topic, at, data);
             }
         };
-        if let Some(episode) = instant.begins {
+        if let Some(episode) = moment.begins {
             let said = json!({ "repeat": 0, "episode": episode, "phase": "running" });
             take(Topic::Episode, at, said.to_string().as_bytes());
         }
-        for receipt in instant.receipts {
+        for receipt in moment.receipts {
             let (sent_ns, received_ns) = (receipt.sent_ns + shift_ns, receipt.received_ns.map(|ns| ns + shift_ns));
             let said = json!(Receipt { sent_ns, received_ns, ..receipt });
             take(Topic::Receipts, at, said.to_string().as_bytes());
         }
-        if !instant.steps.is_empty() {
-            let samples = instant.steps.iter().map(|step| sample(step, now)).collect();
+        if !moment.steps.is_empty() {
+            let samples = moment.steps.iter().map(|step| sample(step, now)).collect();
             topics.instant(now, &[Event::Truth(Truth { time: now, samples })], &mut take);
         }
     }
@@ -107,19 +107,19 @@ pub fn write(
 }
 
 /// Orders all that happens by its time \[ns\]. Receipts are at the time at which their message was sent.
-fn instants(steps: &Steps, receipts: &[Receipt]) -> BTreeMap<i64, Instant> {
-    let (mut instants, mut episode): (BTreeMap<i64, Instant>, Option<u32>) = (BTreeMap::new(), None);
+fn moments(steps: &Steps, receipts: &[Receipt]) -> BTreeMap<i64, Moment> {
+    let (mut moments, mut episode): (BTreeMap<i64, Moment>, Option<u32>) = (BTreeMap::new(), None);
     for step in &steps.steps {
-        let instant = instants.entry(step.at_ns).or_default();
+        let moment = moments.entry(step.at_ns).or_default();
         if episode != Some(step.episode) {
-            (instant.begins, episode) = (Some(step.episode), Some(step.episode));
+            (moment.begins, episode) = (Some(step.episode), Some(step.episode));
         }
-        instant.steps.push(*step);
+        moment.steps.push(*step);
     }
     for receipt in receipts {
-        instants.entry(receipt.sent_ns).or_default().receipts.push(*receipt);
+        moments.entry(receipt.sent_ns).or_default().receipts.push(*receipt);
     }
-    instants
+    moments
 }
 
 fn sample(step: &Step, time: Time) -> Sample {
