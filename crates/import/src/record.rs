@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use mcap::McapError;
+use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use murmurate::messages::geometry::Planar;
@@ -20,6 +21,7 @@ use murmurate_record::topics::{Stage, Topic, Topics};
 use murmurate_record::{Event, Scope};
 
 use crate::mapping::Mapping;
+use crate::samples::Samples;
 use crate::steps::{Step, Steps};
 
 /// Mode of the stage of an imported record.
@@ -61,14 +63,33 @@ pub fn stage(mapping: &Mapping, steps: &Steps, scenario: Option<&dyn Scenario>) 
     }
 }
 
+/// What was made of the files of a run. It is attached to the record, as `import.json`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Made {
+    /// Number of poses in the files.
+    pub poses: usize,
+    /// Number of steps that were made of them.
+    pub steps: usize,
+    /// Whether the steps lie between the poses.
+    pub resampled: bool,
+    /// Whether velocities are differences of positions.
+    pub derived: bool,
+}
+
+impl Made {
+    /// Name of the attached file.
+    pub const FILE: &str = "import.json";
+}
+
 /// Writes the record of an imported run to the file `path`, which must not be there. `identity` is that of the record,
 /// and `mapping` the name and the text of its mapping.
 pub fn write(
     path: &Path,
     (mut identity, stage): (Identity, &Stage),
     mapping: (String, String),
-    (steps, receipts): (&Steps, &[Receipt]),
+    (steps, samples): (&Steps, &Samples),
 ) -> Result<(), RecordError> {
+    let receipts = &samples.receipts;
     let moments = moments(steps, receipts);
     let begin_ns = moments.keys().next().copied().unwrap_or(0);
     // Files of times since a start of their own begin at the beginning of 1970.
@@ -76,7 +97,12 @@ pub fn write(
     identity.imported = true;
     let shift_ns = identity.anchor_ns as i64 - begin_ns;
     let (name, text) = mapping;
-    let attached = vec![Attached { name, media_type: "application/toml", content: text.into_bytes() }];
+    let (poses, Steps { resampled, derived, .. }) = (samples.poses.iter().map(Vec::len).sum(), steps);
+    let made = json!(Made { poses, steps: steps.steps.len(), resampled: *resampled, derived: *derived });
+    let attached = vec![
+        Attached { name, media_type: "application/toml", content: text.into_bytes() },
+        Attached { name: Made::FILE.to_owned(), media_type: "application/json", content: made.to_string().into() },
+    ];
     let mut topics = Topics::new(stage.clone(), Scope::Simulation, identity.anchor_ns);
     let mut file = RecordFile::create(path, &Beginning { identity, attached }, stage)?;
     let mut result = Ok(());

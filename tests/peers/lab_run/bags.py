@@ -57,8 +57,6 @@ def main(table, folder, storage, small):
     with open(table) as file, Writer(folder, version=9, storage_plugin=plugin) as writer:
         connections = {}
         for row in csv.DictReader(file):
-            if row["episode"] == "":
-                continue
             at_ns = BEGIN_NS + round(float(row["time_s"]) * 1e9)
             for name, message in messages(row, at_ns):
                 topic, kind = f"/r{row['robot']}/{name}", message.__msgtype__

@@ -32,7 +32,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let name = args.mapping.display().to_string();
     let arguments = ["record", "import", &name].map(str::to_owned).to_vec();
     let identity = Identity::here(build::digest(), arguments, "");
-    record::write(&args.output, (identity, &stage), (name, text), (&steps, &samples.receipts))?;
+    record::write(&args.output, (identity, &stage), (name, text), (&steps, &samples))?;
     if steps.repeated > 0 {
         let poses = counted(steps.repeated, "pose");
         talk(&format!("left out: {poses} of a robot and a time that had one already"));

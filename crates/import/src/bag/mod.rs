@@ -291,7 +291,8 @@ impl Reading<'_> {
         let absent = self.roles.iter().find(|(topic, _)| !self.topics.contains_key(**topic));
         let Some((topic, role)) = absent else { return Ok(()) };
         let there: Vec<&str> = self.topics.keys().take(40).map(String::as_str).collect();
-        let why = format!("{}: there is no topic '{topic}'; there are: {}", role.field(), there.join(", "));
+        let there = if there.is_empty() { "no others".to_owned() } else { there.join(", ") };
+        let why = format!("{}: there is no topic '{topic}'; there are: {there}", role.field());
         Err(ImportError::file(path, why))
     }
 }

@@ -38,6 +38,8 @@ pub struct Held {
     pub commands: bool,
     /// Whether it has receipts of messages.
     pub receipts: bool,
+    /// Whether it has velocities, which are then no differences of positions.
+    pub velocities: bool,
 }
 
 /// Returns what was not fitted to the records of a team's hosts. `trial` has the settings of the run.
@@ -80,6 +82,10 @@ pub fn of_import(found: &Fitted, held: Held) -> Vec<Missing> {
     match found.lag_s {
         None if !held.commands => missing.push(Missing::new("lag and slip", "the mapping names no commands")),
         None => missing.push(Missing::new("lag and slip", "no robot was commanded to move")),
+        Some(_) if !held.velocities => {
+            let why = "velocities are differences of the poses, in which noise is more than slip";
+            missing.push(Missing::new("slip", why));
+        }
         Some(_) if found.slip.is_none() => {
             missing.push(Missing::new("slip", "no robot was commanded to drive fast enough"))
         }

@@ -114,7 +114,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         let words = Words { title, command, episodes, repeats: repeats as usize, notes };
         let conditions = match &origin {
             Origin::Team(..) => files::of_team(&fitted, twin.as_ref().expect("a team has a twin")),
-            Origin::Elsewhere(mapping) => files::of_import(&fitted, mapping.hull_m),
+            Origin::Elsewhere(mapping, _) => files::of_import(&fitted, mapping.hull_m),
         };
         let model = (&conditions, twin.as_ref().map(|twin| &twin.deployment));
         files::write(folder, &words, (&run, first, &predicted), (&rows, &text), model)?;
@@ -130,7 +130,7 @@ fn too_few(count: usize, origin: &Origin) -> String {
     let needs = format!("a twin needs at least {LEAST}: half to fit and half to compare");
     match origin {
         Origin::Team(..) => format!("the records have {count} with a result, from the first on; {needs}"),
-        Origin::Elsewhere(_) => format!(
+        Origin::Elsewhere(..) => format!(
             "the run has {count}, and {needs}; a length in the mapping, such as episodes = 10.0, cuts it into as many \
              as it has room for"
         ),
@@ -141,7 +141,7 @@ fn too_few(count: usize, origin: &Origin) -> String {
 fn basis(origin: &Origin) -> Basis {
     match origin {
         Origin::Team(trial, _) => Basis::of(trial),
-        Origin::Elsewhere(mapping) => {
+        Origin::Elsewhere(mapping, made) => {
             let mapping::Limits { speed_m_s, axis_m_s2, total_m_s2 } = mapping.limits;
             let most = |limit: Option<f64>| limit.unwrap_or(f64::INFINITY);
             let limits = Limits {
@@ -151,7 +151,7 @@ fn basis(origin: &Origin) -> Basis {
                 total_m_s2: most(total_m_s2),
             };
             let (period_ns, robots) = (mapping.period_ns(), mapping.names.len());
-            Basis { period_ns, limits, slips: true, matches: true, robots, links: Vec::new(), seed: 0 }
+            Basis { period_ns, limits, slips: !made.derived, matches: true, robots, links: Vec::new(), seed: 0 }
         }
     }
 }
@@ -170,7 +170,7 @@ fn twin_of(origin: &Origin, fitted: &Fitted, (half, end): (u32, u32), seed: u64)
 fn scenario_of(origin: &Origin) -> &str {
     match origin {
         Origin::Team(trial, _) => trial.scenario.name(),
-        Origin::Elsewhere(mapping) => mapping.task.as_deref().unwrap_or("none"),
+        Origin::Elsewhere(mapping, _) => mapping.task.as_deref().unwrap_or("none"),
     }
 }
 
@@ -181,7 +181,7 @@ fn title(origin: &Origin, robots: usize) -> String {
             let mode = &trial.deployment.mode;
             format!("Twin of a run: {robots}, scenario {scenario}, mode {mode}, policy {policy}")
         }
-        Origin::Elsewhere(_) => format!("Twin of a run from elsewhere: {robots}, task {scenario}"),
+        Origin::Elsewhere(..) => format!("Twin of a run from elsewhere: {robots}, task {scenario}"),
     }
 }
 
@@ -238,16 +238,17 @@ fn said_of(found: &Fitted, origin: &Origin) -> (Vec<Missing>, Vec<String>) {
             }));
             (missing::of_team(found, trial), notes)
         }
-        Origin::Elsewhere(mapping) => {
+        Origin::Elsewhere(mapping, made) => {
             notes.extend(found.late_s.map(|late_s| {
                 format!(
                     "a command shows in the poses after {:.0} ms, to {:.0} ms; the lag is what comes after that, and \
-                     slip contains the noise of the poses",
+                     slip contains the noise of the velocities",
                     1e3 * late_s,
                     1e3 * mapping.period_s
                 )
             }));
-            let held = Held { commands: mapping.command_frame.is_some(), receipts: mapping.receipts.is_some() };
+            let (commands, receipts) = (mapping.command_frame.is_some(), mapping.receipts.is_some());
+            let held = Held { commands, receipts, velocities: !made.derived };
             (missing::of_import(found, held), notes)
         }
     }

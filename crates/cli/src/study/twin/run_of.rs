@@ -8,12 +8,13 @@ use anyhow::Result;
 
 use crate::record::chosen;
 use crate::replay::{confine, of_host};
-use murmurate::config::regular;
+use murmurate::config::{self, regular};
 use murmurate::deploy::Routes;
 use murmurate::messages::ids::HostId;
 use murmurate::registry::Registry;
 use murmurate::trial::Trial;
 use murmurate_import::mapping::Mapping;
+use murmurate_import::record::Made;
 use murmurate_record::clocks::{Alignment, Traffic, align};
 use murmurate_record::identity::Identity;
 use murmurate_record::reader::{self, ReadError};
@@ -39,8 +40,8 @@ pub enum Origin {
     /// Hosts of a team of this program: a trial with the settings of the run, under ideal conditions (the fitted model
     /// is not applied yet), and the name of the policy that the robots ran.
     Team(Box<Trial>, String),
-    /// Files of another program, which were imported by this mapping.
-    Elsewhere(Box<Mapping>),
+    /// Files of another program, which were imported by this mapping, and what was made of them.
+    Elsewhere(Box<Mapping>, Made),
 }
 
 /// Reads the records of all hosts of a run; `named` has their files or folders. Fails if the record of a host is
@@ -132,9 +133,11 @@ fn imported(path: &Path, named: usize) -> Result<Recorded> {
         return bad(format!("'{at}' is a run from elsewhere, of all its robots: name it alone"));
     }
     let opened = reader::open(path).map_err(|error| BadInput(error.to_string()))?;
-    let Some((_, text)) = opened.attached.first() else {
+    let [(_, text), (_, made), ..] = &opened.attached[..] else {
         return bad(format!("'{at}' has no mapping: import the run again, by 'record import'"));
     };
+    let made: Made = serde_json::from_slice(made)
+        .map_err(|error| BadInput(format!("'{}' in '{at}': {}", Made::FILE, config::json(&error))))?;
     let mapping = Mapping::of_text(&String::from_utf8_lossy(text));
     let mapping = mapping.map_err(|error| BadInput(format!("the mapping in '{at}': {error}")))?;
     let log = Log::read(path, HostId(0)).map_err(|error| BadInput(error.to_string()))?;
@@ -143,7 +146,7 @@ fn imported(path: &Path, named: usize) -> Result<Recorded> {
         notes.push(format!("'{at}' was cut or is damaged: what is intact counts"));
     }
     let run = Run::imported(&log, mapping.names.len(), mapping.period_ns());
-    Ok(Recorded { run, origin: Origin::Elsewhere(Box::new(mapping)), notes, digests: vec![digest(path)?] })
+    Ok(Recorded { run, origin: Origin::Elsewhere(Box::new(mapping), made), notes, digests: vec![digest(path)?] })
 }
 
 /// Returns the name of a file and its digest. The file may be longer than memory.
