@@ -240,13 +240,13 @@ fn said_of(found: &Fitted, origin: &Origin) -> (Vec<Missing>, Vec<String>) {
         }
         Origin::Elsewhere(mapping, made) => {
             notes.extend(found.late_s.map(|late_s| {
+                let (late_ms, period_ms) = (1e3 * late_s, 1e3 * mapping.period_s);
                 format!(
-                    "a command shows in the poses after {:.0} ms, to {:.0} ms; the lag is what comes after that, and \
-                     slip contains the noise of the velocities",
-                    1e3 * late_s,
-                    1e3 * mapping.period_s
+                    "a command shows in the poses after {late_ms:.0} ms, to {period_ms:.0} ms; the lag is what comes \
+                     after that"
                 )
             }));
+            notes.extend(found.slip.map(|_| "slip contains the noise of the velocities".to_owned()));
             let (commands, receipts) = (mapping.command_frame.is_some(), mapping.receipts.is_some());
             let held = Held { commands, receipts, velocities: !made.derived };
             (missing::of_import(found, held), notes)
