@@ -42,6 +42,9 @@ const NOT_RUN: &[(&str, &str)] = &[
         "needs the files of a twin; tests/record/twin.rs has some",
     ),
     ("murmurate key spread team.toml keys/2.roster", "needs a team that runs; tests/live/rosters.rs has one"),
+    ("murmurate record import lab.toml -o runs/lab.mcap", "needs a mapping of the reader's; another one is run"),
+    ("murmurate study twin runs/lab.mcap", "needs a run of the reader's; tests/record/lab_run.rs has some"),
+    ("murmurate replay runs/lab.mcap --watch", "serves its page until Ctrl-C; tests/page/replay.rs has one"),
     ("murmurate record merge runs/team -o runs/team.mcap", "needs the records of a team in real time"),
 ];
 

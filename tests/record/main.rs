@@ -11,6 +11,8 @@ mod hostile;
 mod hosts;
 mod junk;
 mod kept;
+mod lab_files;
+mod lab_run;
 mod readers;
 mod senses;
 mod simulated;

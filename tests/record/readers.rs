@@ -8,16 +8,16 @@ use crate::program::skip::skip;
 use crate::program::{ROOT, run, text};
 use crate::records;
 
-/// Python with these packages: the variable `RECORD_PYTHON`, or else `python3` if it has them.
-fn python() -> Option<String> {
+/// Python with the packages `packages`: the variable `RECORD_PYTHON`, or else `python3` if it has them.
+pub fn python(packages: &str) -> Option<String> {
     let python = std::env::var("RECORD_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let found = Command::new(&python).args(["-c", "import mcap, mcap_protobuf"]).output();
+    let found = Command::new(&python).args(["-c", &format!("import {packages}")]).output();
     found.is_ok_and(|output| output.status.success()).then_some(python)
 }
 
 #[test]
 fn python_reads_what_was_recorded() {
-    let Some(python) = python() else {
+    let Some(python) = python("mcap, mcap_protobuf") else {
         return skip("readers", "RECORD_PYTHON is no Python with mcap and mcap-protobuf-support");
     };
     let folder = TempDir::new().unwrap();

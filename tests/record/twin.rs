@@ -44,8 +44,8 @@ interface = "lo"
 "#;
 
 /// What the emulated links do, and how far the clock of each host is ahead of the one before it \[ns\].
-const DELAY_S: f64 = 0.02;
-const LOSS: f64 = 0.16;
+pub const DELAY_S: f64 = 0.02;
+pub const LOSS: f64 = 0.16;
 const AHEAD_NS: u64 = 3_000_000;
 
 /// One host's record that is being written.
@@ -103,7 +103,7 @@ fn impaired(mut deployment: Deployment) -> Deployment {
 }
 
 /// Records an emulated run of this many episodes, and returns the folder and that of the records.
-fn recorded(episodes: u32) -> (TempDir, PathBuf) {
+pub fn recorded(episodes: u32) -> (TempDir, PathBuf) {
     let folder = TempDir::new().unwrap();
     let (team, to) = (folder.path().join("team.toml"), folder.path().join("records"));
     let toml = TEAM.replacen("seed", &format!("episodes = {episodes}\nseed"), 1);
@@ -139,7 +139,7 @@ fn recorded(episodes: u32) -> (TempDir, PathBuf) {
     (folder, to)
 }
 
-fn rows(report: &str) -> serde_json::Value {
+pub fn rows(report: &str) -> serde_json::Value {
     serde_json::from_str::<serde_json::Value>(report).unwrap_or_else(|error| panic!("{error}: {report}"))
 }
 

@@ -63,6 +63,7 @@ fn program() -> Program {
 const DIGESTS: &[&str] = &[
     murmurate::DIGEST,
     murmurate_devices::DIGEST,
+    murmurate_import::DIGEST,
     murmurate_report::DIGEST,
     #[cfg(feature = "lab")]
     murmurate_lab::DIGEST,

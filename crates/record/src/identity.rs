@@ -39,7 +39,8 @@ pub struct Identity {
     pub engine: String,
     /// Index of the recorded repeat, from 0, in a record of a simulation; otherwise 0.
     pub repeat: u32,
-    /// The recorded host process; `None` in a record of a simulation or of an operator.
+    /// The recorded host process; `None` in a record of a simulation or of an operator,
+    /// and in an imported one.
     pub host: Option<HostIdentity>,
     /// Column and policy of the trial, in a record of a study; otherwise `None`.
     #[serde(default)]
@@ -47,6 +48,10 @@ pub struct Identity {
     /// Whether an operator recorded the messages that it received. Such a record cannot be replayed.
     #[serde(default)]
     pub operator: bool,
+    /// Whether the record was made of the files of another program, by the mapping that is attached. Its true states
+    /// are those that were measured, and it cannot be replayed.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub imported: bool,
     /// Index of this file among the files of its record, from 0.
     #[serde(default)]
     pub part: u32,
@@ -119,6 +124,7 @@ impl Identity {
             host: None,
             job: None,
             operator: false,
+            imported: false,
             part: 0,
             excerpt: false,
         }
@@ -126,7 +132,7 @@ impl Identity {
 
     /// Returns whether the record is of a simulation, which can be run again from its seed.
     pub fn is_of_simulation(&self) -> bool {
-        self.host.is_none() && !self.operator
+        self.host.is_none() && !self.operator && !self.imported
     }
 
     /// Returns the identity as MCAP metadata: each field as JSON text, strings without quotes.

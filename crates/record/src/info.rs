@@ -49,6 +49,7 @@ pub fn describe(path: &Path, (identity, attached, mut messages): Beginning) -> R
     let health = messages.health().clone();
     let of = match identity.as_ref().map(|identity| (&identity.host, identity.repeat)) {
         _ if identity.as_ref().is_some_and(|identity| identity.operator) => "what an operator received".to_owned(),
+        _ if identity.as_ref().is_some_and(|identity| identity.imported) => "a run from elsewhere".to_owned(),
         Some((Some(host), _)) => format!("host {}, incarnation {:08x}", host.name, host.incarnation),
         Some((None, repeat)) => format!("simulation, repeat {repeat}"),
         None if health.nothing => "nothing".to_owned(),

@@ -31,6 +31,7 @@ pub mod queue;
 pub mod read_error;
 pub mod reader;
 pub mod reading;
+pub mod receipt;
 pub mod repair;
 pub mod series;
 pub mod share;

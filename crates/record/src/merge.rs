@@ -68,6 +68,7 @@ pub fn merge(
     for (path, identity) in records {
         let at = path.display();
         let why = match &identity.host {
+            _ if identity.imported => format!("'{at}' was imported, as one record of all robots"),
             _ if identity.operator => format!("'{at}' is what an operator has received"),
             None => format!("'{at}' is the record of a simulation, which has one time already"),
             Some(host) => {

@@ -46,3 +46,9 @@ pub const HARDWARE: &str = r#"{"title":"murmurate.Hardware","type":"object","pro
 "battery":{"type":["integer","null"],"description":"charge in percent"},
 "temperature_c":{"type":["integer","null"]},"reason":{"type":["string","null"],"description":"of a fault"}},
 "required":["robot","health"]}"#;
+
+/// JSON schema of messages about what one robot has sent to another, in imported records.
+pub const RECEIPT: &str = r#"{"title":"murmurate.Receipt","type":"object","properties":{
+"from":{"type":"integer","description":"robot that sent it"},"to":{"type":"integer"},
+"sent_ns":{"type":"integer"},"received_ns":{"type":["integer","null"],"description":"null if it was lost"}},
+"required":["from","to","sent_ns"]}"#;

@@ -11,6 +11,8 @@ use murmurate::messages::ids::{HostId, RobotId};
 pub const PROGRAM: &str = "/log/program";
 /// Name of the topic with the messages that an operator has received.
 pub const RECEIVED: &str = "/received";
+/// Name of the topic with the receipts of an imported run's messages.
+pub const RECEIPTS: &str = "/receipts";
 
 /// Topic of a record, to which each of its messages belongs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -49,6 +51,8 @@ pub enum Topic {
     Counts,
     /// Condition of real robots' hardware.
     Hardware,
+    /// What robots have sent to each other, and when it arrived. Only in imported records.
+    Receipts,
 }
 
 /// Schema of a topic's messages.
@@ -82,6 +86,7 @@ impl Topic {
             Topic::Memory => "/memory".to_owned(),
             Topic::Counts => "/counts".to_owned(),
             Topic::Hardware => "/hardware".to_owned(),
+            Topic::Receipts => RECEIPTS.to_owned(),
         }
     }
 
@@ -91,7 +96,8 @@ impl Topic {
         match self {
             Topic::Turn => "murmurate-turn-1",
             Topic::Wire(_) | Topic::Received => "murmurate-datagram",
-            Topic::Episode | Topic::Links | Topic::Guard | Topic::Memory | Topic::Counts | Topic::Hardware => "json",
+            Topic::Episode | Topic::Links | Topic::Guard | Topic::Memory => "json",
+            Topic::Counts | Topic::Hardware | Topic::Receipts => "json",
             _ => "protobuf",
         }
     }
@@ -118,6 +124,7 @@ impl Topic {
             Topic::Memory => json("Memory", schemas::MEMORY),
             Topic::Counts => json("Counts", schemas::COUNTS),
             Topic::Hardware => json("Hardware", schemas::HARDWARE),
+            Topic::Receipts => json("Receipt", schemas::RECEIPT),
         })
     }
 }

@@ -12,7 +12,7 @@ pub use super::drawing::Body;
 use super::foxglove::{self, Severity};
 pub use super::stage::Stage;
 use super::tape::{self, SentDigest};
-pub use super::topic::{PROGRAM, RECEIVED, Topic};
+pub use super::topic::{PROGRAM, RECEIPTS, RECEIVED, Topic};
 use super::truth::{TrueRobot, Truth as TruthMessage};
 use super::{Event, Logged, Scope, drawing};
 use murmurate::messages::geometry::Vec2;

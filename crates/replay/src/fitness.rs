@@ -22,6 +22,8 @@ pub enum Unfit {
     LosesFiles(String),
     /// It has the messages that an operator received, and nothing that could run again.
     OfOperator,
+    /// It was made of the files of another program, and has nothing that could run again.
+    Imported,
     /// It is of a host, and only simulations are wanted.
     OfHost,
     /// It is of a simulation, and only hosts are wanted.
@@ -39,6 +41,8 @@ pub fn check(identity: &Identity, health: &Health, wanted: Wanted) -> Result<(),
         Unfit::LosesFiles(health.lines(identity.anchor_ns).join("; "))
     } else if identity.operator {
         Unfit::OfOperator
+    } else if identity.imported {
+        Unfit::Imported
     } else if wanted == Wanted::Simulations && of_host {
         Unfit::OfHost
     } else if wanted == Wanted::Hosts && !of_host {
@@ -72,6 +76,7 @@ mod tests {
             check(&identity, &health, Wanted::All)
         };
         assert_eq!(of(|identity| identity.operator = true), Err(Unfit::OfOperator));
+        assert_eq!(of(|identity| identity.imported = true), Err(Unfit::Imported));
         assert_eq!(of(|identity| identity.excerpt = true), Err(Unfit::Excerpt));
         assert_eq!(of(|identity| identity.part = 2), Err(Unfit::FurtherPart));
         let mut damaged = health.clone();

@@ -20,9 +20,10 @@ use murmurate_record::chosen::Unusable;
 use murmurate_record::identity::{self, Identity};
 use murmurate_record::keys::RecordedKey;
 use murmurate_record::reader::{Item, Message, Reader};
+use murmurate_record::receipt::Receipt;
 use murmurate_record::stage::{self, Stage};
 use murmurate_record::tape;
-use murmurate_record::topics::RECEIVED;
+use murmurate_record::topics::{RECEIPTS, RECEIVED};
 use murmurate_record::truth::{self, TrueRobot};
 use murmurate_view::timeline::Sight;
 
@@ -80,6 +81,8 @@ struct Reading<'a> {
     /// datagrams are recognized.
     newest: BTreeMap<(HostId, HostId), (u32, u32)>,
     results: bool,
+    /// Whether the record has receipts of the messages of an imported run.
+    receipts: bool,
 }
 
 /// Reads from a record the content that the live page can show. Arrivals at hosts of a team with a key are checked with
@@ -98,6 +101,7 @@ pub fn read(path: &Path, keys: &Keys) -> Result<Shown, Unusable> {
         tags: [0; 2],
         newest: BTreeMap::new(),
         results: false,
+        receipts: false,
     };
     while let Some(item) = reader.next_item()? {
         match item {
@@ -134,7 +138,8 @@ pub fn read(path: &Path, keys: &Keys) -> Result<Shown, Unusable> {
         (false, [0, refused]) if refused > 0 => OTHER_KEY,
         _ => "",
     };
-    let hears_links = note.is_empty() && stage.homes.iter().all(|home| reading.taped.contains(home));
+    let taped = stage.homes.iter().all(|home| reading.taped.contains(home));
+    let hears_links = note.is_empty() && (taped || reading.receipts);
     let (sights, hears_results) = (reading.sights, reading.results);
     Ok(Shown { stage, sights, hears_links, hears_results, note: note.to_owned() })
 }
@@ -173,6 +178,15 @@ impl Reading<'_> {
                 let percent = said["battery"].as_u64().and_then(|percent| u8::try_from(percent).ok());
                 let robot = robot_of(&message.data);
                 self.sights.extend(robot.zip(percent).map(|(robot, percent)| (now, Sight::Battery(robot, percent))));
+            }
+            RECEIPTS => {
+                let receipt = serde_json::from_slice::<Receipt>(&message.data).ok();
+                self.receipts |= receipt.is_some();
+                let arrived = receipt.and_then(|receipt| Some((receipt, u64::try_from(receipt.received_ns?).ok()?)));
+                self.sights.extend(arrived.map(|(Receipt { from, to, .. }, at)| {
+                    let now = Time::from_nanos(at.saturating_sub(zero));
+                    (now, Sight::Arrived(HostId(to), RobotId(from)))
+                }));
             }
             topic => {
                 if topic == RECEIVED {

@@ -26,6 +26,17 @@ pub struct Stamp {
     pub nanosec: u32,
 }
 
+impl Stamp {
+    /// Returns the time \[ns\]. The error says what is wrong with the stamp.
+    pub fn nanoseconds(self) -> Result<u64, &'static str> {
+        let sec = u64::try_from(self.sec).map_err(|_| "its stamp is negative; set the clock of its sender")?;
+        if self.nanosec >= 1_000_000_000 {
+            return Err("its stamp has a second or more of nanoseconds; correct its sender");
+        }
+        Ok(sec * 1_000_000_000 + u64::from(self.nanosec))
+    }
+}
+
 /// ROS message `std_msgs/Header`: time and coordinate frame of the data in a message.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Header {
@@ -128,6 +139,26 @@ pub struct PoseWithCovarianceStamped {
     pub header: Header,
     /// Pose in the frame of the header, with its covariance.
     pub pose: PoseWithCovariance,
+}
+
+/// ROS message `geometry_msgs/Transform`: translation and rotation of a frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Transform {
+    /// Place of the frame's origin \[m\].
+    pub translation: Vector3,
+    /// Rotation of the frame.
+    pub rotation: Quaternion,
+}
+
+/// ROS message `geometry_msgs/TransformStamped`: the place of one frame in another, as trackers send that of a body.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TransformStamped {
+    /// Time of the measurement, and name of the frame in which the other one is given.
+    pub header: Header,
+    /// Name of the frame that is given, such as that of a body.
+    pub child_frame_id: String,
+    /// Place of that frame in the frame of the header.
+    pub transform: Transform,
 }
 
 /// ROS message `nav_msgs/Odometry`: the pose of a robot in the frame of the header, and the velocity in the robot's own

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use murmurate::messages::geometry::{NoRotation, unit_quaternion};
 
 use super::messages::{
-    BatteryState, Covariance, Header, Odometry, Pose, PoseStamped, PoseWithCovarianceStamped, Stamp,
-    TwistWithCovariance,
+    BatteryState, Covariance, Header, Odometry, Pose, PoseStamped, PoseWithCovarianceStamped, Stamp, Transform,
+    TransformStamped, TwistWithCovariance,
 };
 use super::scan::ScanSample;
 
@@ -142,6 +142,13 @@ impl IntoSample for PoseWithCovarianceStamped {
     }
 }
 
+impl IntoSample for TransformStamped {
+    fn sample(&self) -> Result<Sample, &'static str> {
+        let Transform { translation, rotation } = self.transform;
+        pose(self.header.stamp, &Pose { position: translation, orientation: rotation }, None).map(Sample::Pose)
+    }
+}
+
 impl IntoSample for BatteryState {
     fn sample(&self) -> Result<Sample, &'static str> {
         // Some drivers report a full battery as slightly more than 1.
@@ -154,30 +161,26 @@ impl IntoSample for BatteryState {
 }
 
 fn pose(stamp: Stamp, pose: &Pose, covariance: Option<&Covariance>) -> Result<PoseSample, &'static str> {
-    let sec = u64::try_from(stamp.sec).map_err(|_| "its stamp is negative; set the clock of its sender")?;
-    if stamp.nanosec >= 1_000_000_000 {
-        return Err("its stamp has a second or more of nanoseconds; correct its sender");
-    }
+    let stamp_ns = stamp.nanoseconds()?;
     if !(pose.position.x.is_finite() && pose.position.y.is_finite()) {
         return Err("its position is not finite; see whether the sender is localized");
     }
     let deviations = covariance.map(deviations).unwrap_or_default();
     Ok(PoseSample {
-        stamp_ns: sec * 1_000_000_000 + u64::from(stamp.nanosec),
+        stamp_ns,
         x: pose.position.x,
         y: pose.position.y,
-        yaw: yaw(pose)?,
+        yaw: yaw([pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w])?,
         position_m: deviations.0,
         heading_rad: deviations.1,
         twist: None,
     })
 }
 
-/// Returns the rotation about the z axis \[rad\] of a pose's orientation; `None` if all components of the quaternion
-/// are zero, so that no orientation was set. An error says that it is not a unit quaternion.
-fn yaw(pose: &Pose) -> Result<Option<f64>, &'static str> {
-    let q = pose.orientation;
-    match unit_quaternion([q.x, q.y, q.z, q.w]) {
+/// Returns the rotation about the z axis \[rad\] of an orientation x, y, z, w; `None` if all components of the
+/// quaternion are zero, so that no orientation was set. An error says that it is not a unit quaternion.
+pub fn yaw(orientation: [f64; 4]) -> Result<Option<f64>, &'static str> {
+    match unit_quaternion(orientation) {
         Ok([x, y, z, w]) => Ok(Some(libm::atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))),
         Err(NoRotation::Zero) => Ok(None),
         Err(NoRotation::Length) => Err("its orientation is not a unit quaternion; correct its sender"),

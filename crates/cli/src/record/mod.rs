@@ -1,7 +1,8 @@
-//! The command `murmurate record`: describes, repairs, merges, shares and exports records.
+//! The command `murmurate record`: describes, repairs, merges, shares, exports and imports records.
 
 pub mod chosen;
 mod export;
+mod import;
 mod info;
 pub mod merge;
 mod repair;
@@ -12,7 +13,7 @@ use anyhow::Result;
 use murmurate::registry::Registry;
 use murmurate_robot::Ended;
 
-/// Looks at records, repairs, merges and exports them.
+/// Looks at records, repairs, merges, exports and imports them.
 #[derive(clap::Subcommand)]
 #[command(after_help = "Exit codes: 0 done; 1 a record is damaged or lacks events; 2 a flag or a file is wrong, and \
     nothing was written.")]
@@ -27,15 +28,18 @@ pub enum Args {
     Share(share::Args),
     /// Writes trajectories, links or messages of a record as CSV
     Export(export::Args),
+    /// Makes a record of a run of another program: CSV files or a bag of ROS 2, and a mapping of them
+    Import(import::Args),
 }
 
 /// Runs a subcommand of `record`.
-pub fn run(args: &Args, _: &Registry) -> Result<Ended> {
+pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     match args {
         Args::Info(args) => info::run(args),
         Args::Repair(args) => repair::run(args),
         Args::Merge(args) => merge::run(args),
         Args::Share(args) => share::run(args),
         Args::Export(args) => export::run(args),
+        Args::Import(args) => import::run(args, registry),
     }
 }

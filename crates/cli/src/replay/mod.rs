@@ -181,6 +181,9 @@ fn check(args: &Args, path: &Path, Opened { identity, messages, .. }: &Opened) -
             Unfit::OfOperator => format!(
                 "'{at}' has what an operator received, and nothing that could run again; look at it with --watch"
             ),
+            Unfit::Imported => {
+                format!("'{at}' is a run from elsewhere, and nothing in it could run again; look at it with --watch")
+            }
             Unfit::OfHost => format!("--rerun: '{at}' is the record of a host; use --host"),
             Unfit::OfSimulation => format!("--host: '{at}' is the record of a simulation; use --rerun"),
             Unfit::Excerpt => format!(

@@ -35,27 +35,44 @@ pub fn delays(title: &str, columns: &[DelayColumn]) -> Result<String, FigureErro
         let half = (WIDTH / 2, HEIGHT - HEAD as u32);
         let left = area.clone().shrink((0, HEAD), half);
         let right = area.clone().shrink((half.0 as i32, HEAD), half);
-        let arrival = |heard: &Listening| {
-            let share = heard.delivered().unwrap_or(0.0);
-            heard.delay.cumulative().into_iter().map(|(edge, within)| (edge, share * within)).collect()
-        };
-        panel(&left, "publication to arrival", "share of messages due", &crossing, arrival)?;
+        panel(&left, "publication to arrival", "share of messages due", &crossing, arrived)?;
         let step = |heard: &Listening| heard.age.cumulative();
         panel(&right, "publication to control step", "share of messages in use", &crossing, step)?;
         legend(area, &crossing)
     })
 }
 
+/// Returns the share of the messages due that had arrived within each delay \[s\].
+fn arrived(heard: &Listening) -> Vec<(f64, f64)> {
+    let share = heard.delivered().unwrap_or(0.0);
+    heard.delay.cumulative().into_iter().map(|(edge, within)| (edge, share * within)).collect()
+}
+
 /// Draws the ages of messages at control steps as cumulative shares, one line per column. Returns the SVG.
 pub fn ages(title: &str, columns: &[DelayColumn]) -> Result<String, FigureError> {
+    let age = |heard: &Listening| heard.age.cumulative();
+    single(title, ("publication to control step", "share of messages in use"), columns, age)
+}
+
+/// Draws the delays of messages until their arrival as cumulative shares of the messages due, one line per column.
+/// Returns the SVG.
+pub fn arrivals(title: &str, columns: &[DelayColumn]) -> Result<String, FigureError> {
+    single(title, ("sending to arrival", "share of messages due"), columns, arrived)
+}
+
+/// Draws one panel with the heading and the name of its axis `names`, one line per column.
+fn single(
+    title: &str,
+    names: (&str, &str),
+    columns: &[DelayColumn],
+    line: impl Fn(&Listening) -> Vec<(f64, f64)>,
+) -> Result<String, FigureError> {
     // Lines that coincide differ in width, and their colours are far from each other.
     let columns: Vec<(usize, &DelayColumn)> = columns.iter().enumerate().map(|(at, column)| (3 * at, column)).collect();
     svg(HEIGHT + 46, |area| {
         area.draw(&Text::new(title.to_owned(), (20, 14), style(TEXT + 3, BLACK, HPos::Left, VPos::Top)))?;
         let below = area.clone().shrink((0, HEAD), (WIDTH, HEIGHT - HEAD as u32));
-        panel(&below, "publication to control step", "share of messages in use", &columns, |heard| {
-            heard.age.cumulative()
-        })?;
+        panel(&below, names.0, names.1, &columns, line)?;
         legend(area, &columns)
     })
 }

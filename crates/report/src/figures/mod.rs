@@ -14,7 +14,7 @@ mod success;
 mod sweep;
 
 pub use actions::actions;
-pub use delays::{DelayColumn, ages, delays};
+pub use delays::{DelayColumn, ages, arrivals, delays};
 pub use makespans::{Makespans, makespans};
 pub use positions::{Positions, positions};
 pub use separation::separation;

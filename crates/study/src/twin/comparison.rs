@@ -83,7 +83,9 @@ pub fn rows(
     (links, seed): (&[String], u64),
 ) -> Vec<Row> {
     let seed = Seed::of_run(seed).child("twin");
-    let (episodes, decisions) = (&run.episodes[first..], &run.decisions[first..]);
+    // An imported run has neither.
+    let episodes = run.episodes.get(first..).unwrap_or_default();
+    let decisions = run.decisions.get(first..).unwrap_or_default();
     let mut rows = Vec::new();
     if !predicted.is_empty() {
         rows.push(success(episodes, predicted));

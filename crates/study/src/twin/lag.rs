@@ -6,6 +6,8 @@
 //! that the fitted model leaves in single steps: its standard deviation over the commanded speed, and its correlation
 //! time.
 
+use std::ops::RangeInclusive;
+
 use super::estimate::{Estimate, bootstrap, quantile_of};
 use murmurate::random::Stream;
 
@@ -116,26 +118,45 @@ fn nearest(error: &impl Fn(f64) -> f64) -> Option<(f64, f64)> {
     lags.map(|lag_s| (lag_s, error(lag_s))).min_by(|one, other| one.1.total_cmp(&other.1))
 }
 
+/// Returns the series with each command `steps` steps later; the first `skipped` steps of a series, which is at least
+/// as many, are left out.
+fn late(episodes: &[Vec<Series>], steps: usize, skipped: usize) -> Vec<Vec<Series>> {
+    let one = |series: &Series| -> Series {
+        let moved = |at: usize| Moved { command: series[at - steps].command, ..series[at] };
+        (skipped..series.len()).map(moved).collect()
+    };
+    episodes.iter().map(|episode| episode.iter().map(one).filter(|series| series.len() > 1).collect()).collect()
+}
+
+/// Returns the number of steps, one of `steps`, until a command has an effect on the velocities: that with which the
+/// model comes nearest to them. `None` without any.
+fn lateness(episodes: &[Vec<Series>], steps: RangeInclusive<usize>, limits: &Limits) -> Option<usize> {
+    let most = *steps.end();
+    let error = |number: usize| {
+        // All shifts leave the same steps to compare.
+        let series = late(episodes, number, most);
+        let sum = |lag_s: f64| series.iter().flatten().map(|series| squares(series, lag_s, limits)).sum::<f64>();
+        Some((number, nearest(&sum)?.1))
+    };
+    let best = steps.filter_map(error).min_by(|one, other| one.1.total_cmp(&other.1));
+    best.map(|(number, _)| number)
+}
+
 /// Finds the lag of the drivetrain \[s\] from the velocities that robots estimated and commanded at their control
 /// ticks. The second number is the time \[s\], in whole ticks, until a command has an effect on these estimates. `None`
 /// if no robot moved.
 pub fn fit_estimates(episodes: &[Vec<Series>], limits: &Limits, stream: &mut Stream) -> Option<(Estimate, f64)> {
-    let shifted = |ticks: usize| -> Vec<Vec<Series>> {
-        let one = |series: &Series| -> Series {
-            let moved = |at: usize| Moved { command: series[at - 1 - ticks].command, ..series[at] };
-            // All shifts leave the same steps to compare.
-            (MOST_TICKS + 1..series.len()).map(moved).collect()
-        };
-        episodes.iter().map(|episode| episode.iter().map(one).filter(|series| series.len() > 1).collect()).collect()
-    };
-    let error = |ticks: usize| {
-        let series = shifted(ticks);
-        let sum = |lag_s: f64| series.iter().flatten().map(|series| squares(series, lag_s, limits)).sum::<f64>();
-        Some((ticks, nearest(&sum)?.1))
-    };
-    let best = (0..=MOST_TICKS).filter_map(error).min_by(|one, other| one.1.total_cmp(&other.1));
-    let (ticks, _) = best?;
-    Some((fit(&shifted(ticks), limits, stream)?, ticks as f64 * limits.step_s))
+    // A command of one tick can show at the next.
+    let steps = lateness(episodes, 1..=MOST_TICKS + 1, limits)?;
+    let lag_s = fit(&late(episodes, steps, MOST_TICKS + 1), limits, stream)?;
+    Some((lag_s, (steps - 1) as f64 * limits.step_s))
+}
+
+/// Returns the series with each command at the step at which it has its effect, and by how many steps that is late.
+/// For logs of other programs, of which it is not known which step a command drives.
+pub fn matched(episodes: &[Vec<Series>], limits: &Limits) -> (Vec<Vec<Series>>, usize) {
+    let steps = lateness(episodes, 0..=MOST_TICKS, limits).unwrap_or(0);
+    (late(episodes, steps, steps), steps)
 }
 
 /// Returns the argument at which a sampled function has its minimum, from the parabola through the smallest of `values`
@@ -243,6 +264,23 @@ mod tests {
             let (lag_s, late_s) = fit_estimates(&told, &LIMITS, &mut Seed::of_run(1).stream("lag")).unwrap();
             assert!((lag_s.value - 0.5).abs() < 0.03, "{ticks}: {lag_s:?}");
             assert!((late_s - ticks as f64 * 0.05).abs() < 1e-9, "{ticks}: {late_s}");
+        }
+    }
+
+    #[test]
+    fn commands_of_a_log_are_matched_with_the_steps_that_they_drive() {
+        let later = |series: &Series, steps: usize| -> Series {
+            let command = |at: usize| series.get(at + steps).map_or([0.0; 2], |step| step.command);
+            series.iter().enumerate().map(|(at, step)| Moved { command: command(at), ..*step }).collect()
+        };
+        let episodes = driven(0.3, 0.02, 0.5);
+        assert_eq!(matched(&episodes, &LIMITS), (episodes.clone(), 0), "nothing is left out");
+        for steps in [1, 4] {
+            let told: Vec<Vec<Series>> =
+                episodes.iter().map(|all| all.iter().map(|series| later(series, steps)).collect()).collect();
+            let (found, late) = matched(&told, &LIMITS);
+            assert_eq!(late, steps);
+            assert!(found[0][0].iter().zip(&episodes[0][0][steps..]).all(|(one, other)| one == other));
         }
     }
 

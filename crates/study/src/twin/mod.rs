@@ -8,6 +8,7 @@ pub mod comparison;
 pub mod estimate;
 pub mod lag;
 pub mod links;
+pub mod missing;
 pub mod model;
 pub mod observed;
 pub mod offsets;

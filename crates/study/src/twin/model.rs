@@ -1,6 +1,7 @@
 //! The twin's model: parameters fitted to some episodes of a run, values given by the user instead, and the simulation
 //! with these parameters.
 
+use std::borrow::Cow;
 use std::ops::Range;
 
 use super::estimate::Estimate;
@@ -19,8 +20,8 @@ use murmurate::trial::Trial;
 pub struct Fitted {
     /// Time constant \[s\] of the first-order lag from commanded to true velocity.
     pub lag_s: Option<Estimate>,
-    /// Time \[s\] until a command has an effect on the robots' own velocity estimates; `None` unless the lag was found
-    /// from these estimates.
+    /// Time \[s\] until a command has an effect on the velocities; `None` unless the lag was found from the robots' own
+    /// estimates, or from the log of another program.
     pub late_s: Option<f64>,
     /// Slip of the wheels: random difference between driven and commanded velocity.
     pub slip: Option<Slip>,
@@ -31,6 +32,42 @@ pub struct Fitted {
     /// Offset \[s\] of each robot's control ticks from the steps of the simulated World, or from robot 0's ticks if no
     /// steps were recorded; `None` if it is unknown or not constant.
     pub offsets_s: Vec<Option<f64>>,
+}
+
+/// What a fit takes as given of a recorded run and its team.
+#[derive(Clone, Debug)]
+pub struct Basis {
+    /// Time from one step of a robot to the next \[ns\].
+    pub period_ns: i64,
+    /// Limits of the robots' drivetrain.
+    pub limits: Limits,
+    /// Whether slip is looked for: not in a world that has none.
+    pub slips: bool,
+    /// Whether it is not known which step a command drives, as in the log of another program. Then it is looked for.
+    pub matches: bool,
+    /// Number of robots.
+    pub robots: usize,
+    /// Names of the links, by their ids.
+    pub links: Vec<String>,
+    /// Seed of the bootstrap of the intervals.
+    pub seed: u64,
+}
+
+impl Basis {
+    /// Returns what a fit takes as given of a trial, which has the settings of the recorded run.
+    pub fn of(trial: &Trial) -> Basis {
+        let period_ns = trial.models.period().as_nanos() as i64;
+        let plant = trial.registry.plant(&trial.deployment.plant);
+        Basis {
+            period_ns,
+            limits: limits(trial, period_ns),
+            slips: plant.is_ok_and(|plant| plant.name != murmurate::world::KINEMATIC),
+            matches: false,
+            robots: trial.deployment.robots,
+            links: trial.deployment.links.iter().map(|link| link.name.clone()).collect(),
+            seed: trial.seed,
+        }
+    }
 }
 
 /// Values given by the user that replace fitted parameters of the twin. `None` leaves the fitted one.
@@ -100,40 +137,38 @@ fn limits(trial: &Trial, period_ns: i64) -> Limits {
 }
 
 /// Fits all parameters of the twin (lag, slip, links, tick offsets) to the episodes `episodes` of a recorded run.
-/// `trial` has the run's own settings.
-pub fn fit(run: &Run, trial: &Trial, episodes: Range<u32>) -> Fitted {
-    let period_ns = trial.models.period().as_nanos() as i64;
-    let seed = Seed::of_run(trial.seed).child("twin");
+pub fn fit(run: &Run, basis: &Basis, episodes: Range<u32>) -> Fitted {
+    let Basis { period_ns, limits, .. } = basis;
+    let seed = Seed::of_run(basis.seed).child("twin");
     let within = episodes.start as usize..episodes.end as usize;
-    let (motion, limits) = (&run.motion[within.clone()], limits(trial, period_ns));
+    let (mut motion, mut late_s) = (Cow::Borrowed(&run.motion[within.clone()]), None);
+    if basis.matches {
+        let (matched, steps) = lag::matched(&motion, limits);
+        (motion, late_s) = (Cow::Owned(matched), Some(steps as f64 * limits.step_s));
+    }
     let mut stream = seed.stream("lag");
-    let of_truth = lag::fit(motion, &limits, &mut stream);
-    let of_estimates = if of_truth.is_none() {
-        lag::fit_estimates(&run.estimates[within.clone()], &limits, &mut stream)
-    } else {
-        None
-    };
+    let of_truth = lag::fit(&motion, limits, &mut stream);
+    let of_estimates =
+        if of_truth.is_none() { lag::fit_estimates(&run.estimates[within.clone()], limits, &mut stream) } else { None };
     let lag_s = of_truth.or(of_estimates.map(|(lag_s, _)| lag_s));
-    let late_s = of_estimates.map(|(_, late_s)| late_s);
-    let slips =
-        trial.registry.plant(&trial.deployment.plant).is_ok_and(|plant| plant.name != murmurate::world::KINEMATIC);
-    let slip = of_truth.filter(|_| slips);
-    let slip = slip.and_then(|lag_s| lag::slip(motion, lag_s.value, &limits, &mut seed.stream("slip")));
+    let late_s = of_estimates.map(|(_, late_s)| late_s).or(late_s.filter(|_| of_truth.is_some()));
+    let slip = of_truth.filter(|_| basis.slips);
+    let slip = slip.and_then(|lag_s| lag::slip(&motion, lag_s.value, limits, &mut seed.stream("slip")));
     let link = |link: Option<LinkId>, name: &str| {
         links::fit(&run.crossings, link, episodes.clone(), &mut seed.stream(&format!("link/{name}")))
     };
-    let named = trial.deployment.links.iter().zip(0..);
-    let links = named.map(|(entry, number)| link(Some(LinkId(number)), &entry.name)).collect();
+    let named = basis.links.iter().zip(0..);
+    let links = named.map(|(name, number)| link(Some(LinkId(number)), name)).collect();
     // If no World's steps were recorded, offsets are from the ticks of the first robot.
     let steps = run.steps_ns[within].iter().flatten().copied();
     let ticks = |robot: usize| {
         let ticks = run.ticks_ns.get(robot).into_iter().flatten();
-        offsets::steady(ticks.filter(|(episode, _)| episodes.contains(episode)).map(|(_, ns)| *ns), period_ns)
+        offsets::steady(ticks.filter(|(episode, _)| episodes.contains(episode)).map(|(_, ns)| *ns), *period_ns)
     };
     let step =
-        if run.steps_ns.iter().any(|steps| !steps.is_empty()) { offsets::steady(steps, period_ns) } else { ticks(0) };
-    let offset = |robot: usize| Some(offsets::between(ticks(robot)?, step?, period_ns));
-    let offsets_s = (0..trial.deployment.robots).map(offset).collect();
+        if run.steps_ns.iter().any(|steps| !steps.is_empty()) { offsets::steady(steps, *period_ns) } else { ticks(0) };
+    let offset = |robot: usize| Some(offsets::between(ticks(robot)?, step?, *period_ns));
+    let offsets_s = (0..basis.robots).map(offset).collect();
     Fitted { lag_s, late_s, slip, links, all_links: link(None, "all"), offsets_s }
 }
 

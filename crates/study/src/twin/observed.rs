@@ -9,14 +9,17 @@ use super::lag::{Moved, Series};
 use super::links::Crossing;
 use murmurate::deploy::Routes;
 use murmurate::graph::inputs::Input;
-use murmurate::messages::ids::{HostId, RobotId};
+use murmurate::messages::ids::{HostId, LinkId, RobotId};
+use murmurate::messages::phase::Phase;
 use murmurate::messages::wire::{Kind, Latent, Wire};
 use murmurate::net::protocol::codec::{self, Content, Flags};
 use murmurate::net::protocol::router::Audience;
 use murmurate::results::episode::Episode;
 use murmurate_record::clocks::{self, Alignment, ClockDifference, DatagramKey, Traffic};
 use murmurate_record::reader::{self, ReadError};
+use murmurate_record::receipt::Receipt;
 use murmurate_record::tape;
+use murmurate_record::topics::{self, RECEIPTS};
 use murmurate_record::truth;
 
 /// Kinds of messages that a host sends as soon as they are published, each in a datagram of its own.
@@ -59,6 +62,9 @@ pub struct Log {
     arrived: Vec<(i64, DatagramKey)>,
     states: Vec<State>,
     results: Vec<(i64, Episode)>,
+    /// Times at which episodes begin \[ns\].
+    begins: Vec<i64>,
+    receipts: Vec<Receipt>,
     /// Times of the host's first and last recorded turn \[ns\] on its own clock; `None` if there is none.
     span: Option<[i64; 2]>,
     /// Whether the record is whole: it was not cut by a crash of its host, and is not damaged.
@@ -73,15 +79,16 @@ impl Log {
         let (_, mut messages) = reader::messages(path)?;
         let (sent, arrived, states, results) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         let (traffic, span, complete) = (Traffic::default(), None, false);
-        let mut log = Log { host, traffic, sent, arrived, states, results, span, complete, has_gaps: false };
+        let (begins, receipts) = (Vec::new(), Vec::new());
+        let mut log =
+            Log { host, traffic, sent, arrived, states, results, begins, receipts, span, complete, has_gaps: false };
         while let Some(message) = messages.next_message()? {
             let at_ns = message.at as i64;
             match &*message.channel.topic {
                 "/tape/turn" => log.turn(at_ns, &message.data),
                 "/truth" => log.truth(at_ns, &message.data),
-                "/episode" => {
-                    log.results.extend(serde_json::from_slice(&message.data).ok().map(|episode| (at_ns, episode)));
-                }
+                "/episode" => log.episode(at_ns, &message.data),
+                RECEIPTS => log.receipts.extend(serde_json::from_slice::<Receipt>(&message.data).ok()),
                 topic if topic.starts_with("/wire/") => log.publish(at_ns, &message.data),
                 _ => {}
             }
@@ -94,6 +101,16 @@ impl Log {
     /// Returns whether the record contains the result of any episode.
     pub fn has_results(&self) -> bool {
         !self.results.is_empty()
+    }
+
+    fn episode(&mut self, at_ns: i64, json: &[u8]) {
+        match serde_json::from_slice(json) {
+            Ok(episode) => self.results.push((at_ns, episode)),
+            Err(_) => {
+                let said: serde_json::Value = serde_json::from_slice(json).unwrap_or_default();
+                self.begins.extend((said["phase"] == topics::name_of(Phase::Running)).then_some(at_ns));
+            }
+        }
     }
 
     fn publish(&mut self, at_ns: i64, datagram: &[u8]) {
@@ -150,7 +167,8 @@ pub struct ObservedTeam<'a> {
 /// Recorded run of a team, joined from the records of its hosts on a common clock.
 #[derive(Debug, Default)]
 pub struct Run {
-    /// Results by the number of the episode, from the first episode up to the first one without a result.
+    /// Results by the number of the episode, from the first episode up to the first one without a result; none in an
+    /// imported run.
     pub episodes: Vec<Episode>,
     /// Outcome of each datagram at each host that should have received it.
     pub crossings: Vec<Crossing>,
@@ -185,21 +203,47 @@ impl Run {
         let complete = ends.iter().zip(0..).take_while(|((episode, _), at)| **episode == *at);
         let (ends_ns, episodes): (Vec<i64>, Vec<Episode>) = complete.map(|((_, end), _)| *end).unzip();
         let episode_at = |ns: i64| ends_ns.partition_point(|end| *end < ns) as u32;
-        let mut run = Run {
-            crossings: crossings(logs, &common, &episode_at, team),
-            ticks_ns: vec![Vec::new(); team.robots],
-            steps_ns: vec![Vec::new(); episodes.len()],
-            motion: vec![Vec::new(); episodes.len()],
-            decisions: Vec::new(),
-            estimates: vec![Vec::new(); episodes.len()],
-            episodes,
-        };
+        let mut run = Run::empty(team.robots, episodes.len());
+        (run.crossings, run.episodes) = (crossings(logs, &common, &episode_at, team), episodes);
         run.follow(logs, &common, &episode_at, team);
-        run.move_robots(logs, &common, &episode_at, team);
+        run.move_robots(logs, &common, &episode_at, team.period_ns);
         if logs.iter().all(|log| log.states.is_empty()) {
             run.estimate(logs, &common, &episode_at, team);
         }
         run
+    }
+
+    /// Returns the run of an imported record, which has one clock: measured states, beginnings of episodes, receipts.
+    /// `period_ns` is the period of its states \[ns\].
+    pub fn imported(log: &Log, robots: usize, period_ns: i64) -> Run {
+        let episode_at = |ns: i64| log.begins.partition_point(|begin| *begin <= ns).saturating_sub(1) as u32;
+        let mut run = Run::empty(robots, log.begins.len());
+        run.move_robots(std::slice::from_ref(log), &|_, ns| Some(ns), &episode_at, period_ns);
+        let crossing = |receipt: &Receipt| Crossing {
+            episode: episode_at(receipt.sent_ns),
+            link: LinkId(0),
+            from: HostId(receipt.from),
+            to: HostId(receipt.to),
+            took_ns: receipt.received_ns.map(|received_ns| received_ns - receipt.sent_ns),
+        };
+        run.crossings = log.receipts.iter().map(crossing).collect();
+        run
+    }
+
+    /// Returns a run of this many episodes of which nothing is known yet.
+    fn empty(robots: usize, episodes: usize) -> Run {
+        Run {
+            ticks_ns: vec![Vec::new(); robots],
+            steps_ns: vec![Vec::new(); episodes],
+            motion: vec![Vec::new(); episodes],
+            estimates: vec![Vec::new(); episodes],
+            ..Run::default()
+        }
+    }
+
+    /// Returns the number of its episodes.
+    pub fn count(&self) -> usize {
+        self.motion.len()
     }
 
     /// Follows latents from publication to the decisions that used them, and stores these decisions with the messages'
@@ -286,9 +330,9 @@ impl Run {
         logs: &[Log],
         common: &impl Fn(usize, i64) -> Option<i64>,
         episode_at: &impl Fn(i64) -> u32,
-        team: &ObservedTeam,
+        period_ns: i64,
     ) {
-        let gap_ns = (GAP * team.period_ns as f64) as i64;
+        let gap_ns = (GAP * period_ns as f64) as i64;
         for (at, log) in logs.iter().enumerate() {
             // By robot: time and episode of its last state.
             let mut last: BTreeMap<usize, (i64, usize)> = BTreeMap::new();
@@ -296,7 +340,7 @@ impl Run {
             for state in &log.states {
                 let Some(ns) = common(at, state.at_ns) else { break };
                 let episode = episode_at(ns) as usize;
-                if episode >= self.episodes.len() {
+                if episode >= self.count() {
                     break;
                 }
                 if self.steps_ns[episode].last() != Some(&ns) {

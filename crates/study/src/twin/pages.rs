@@ -25,10 +25,10 @@ pub struct Words {
 }
 
 /// Draws the figures of a prediction beside the measured run: makespans, and ages of messages. `first` is the first
-/// episode of `run` that was predicted. There are none without predictions.
+/// episode of `run` that was predicted. Without predictions they are the delays of messages, if any crossed hosts.
 pub fn figures(run: &Run, first: usize, predicted: &[Predicted]) -> Result<Vec<Figure>, FigureError> {
     if predicted.is_empty() {
-        return Ok(Vec::new());
+        return arrivals(run, first);
     }
     let simulated = predicted.iter().flat_map(|one| &one.episodes);
     let measured = run.episodes[first..].iter();
@@ -74,6 +74,31 @@ pub fn figures(run: &Run, first: usize, predicted: &[Predicted]) -> Result<Vec<F
         });
     }
     Ok(all)
+}
+
+/// Draws the delays of the messages that were sent before the episode `first`, to which the model was fitted, and of
+/// those after. There is no figure without messages.
+fn arrivals(run: &Run, first: usize) -> Result<Vec<Figure>, FigureError> {
+    if run.crossings.is_empty() {
+        return Ok(Vec::new());
+    }
+    let mut halves = [Listening::default(); 2];
+    for crossing in &run.crossings {
+        let listening = &mut halves[usize::from(crossing.episode as usize >= first)];
+        listening.due += 1;
+        if let Some(took_ns) = crossing.took_ns {
+            listening.arrived += 1;
+            listening.delay.add(Span::from_nanos(u64::try_from(took_ns).unwrap_or(0)));
+        }
+    }
+    let columns = [("fitted", &halves[0]), ("the other episodes", &halves[1])];
+    let columns = columns.map(|(name, listening)| DelayColumn { name, listening });
+    Ok(vec![Figure {
+        name: "delays".to_owned(),
+        title: "Delays of messages".to_owned(),
+        caption: "Of each message and receiver. A line that ends below 1 has lost the rest.".to_owned(),
+        svg: murmurate_report::figures::arrivals("Delays of messages", &columns)?,
+    }])
 }
 
 /// Returns the report page as HTML.

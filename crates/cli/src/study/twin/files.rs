@@ -6,11 +6,12 @@ use anyhow::Result;
 use serde::{Deserialize, Serialize};
 
 use super::super::folder::Folder;
+use murmurate::deploy::Deployment;
 use murmurate::deploy::conditions::Conditions;
 use murmurate::trial::Trial;
 use murmurate_study::origin;
 use murmurate_study::twin::comparison::Row;
-use murmurate_study::twin::model::Fitted;
+use murmurate_study::twin::model::{Fitted, rounded};
 use murmurate_study::twin::observed::Run;
 use murmurate_study::twin::pages::{self, Words};
 use murmurate_study::twin::predict::Predicted;
@@ -49,29 +50,28 @@ pub fn open(path: &Path, digests: &[String], command: &str) -> Result<Folder> {
 /// conditions, the deployment if episodes were predicted, the figures, and the report's page.
 ///
 /// `words` are the page's texts, and `text` is the table. `first` is the index of the first episode of `run` that was
-/// predicted, and `predicted` has the results of each repeat of the prediction. `twin` is the trial with the fitted
-/// model.
+/// predicted, and `predicted` has the results of each repeat of the prediction.
 pub fn write(
     folder: &Folder,
     words: &Words,
     (run, first, predicted): (&Run, usize, &[Predicted]),
     (rows, text): (&[Row], &str),
-    (fitted, twin): (&Fitted, &Trial),
+    (conditions, deployment): (&Conditions, Option<&Deployment>),
 ) -> Result<()> {
     folder.write_json("rows.json", &rows)?;
     folder.write("table.txt", format!("{text}\n").as_bytes())?;
     let head = format!("# Fitted by '{}'.\n", words.command);
-    if !predicted.is_empty() {
-        folder.write("deployment.toml", (head.clone() + &twin.deployment.to_toml()).as_bytes())?;
+    if let Some(deployment) = deployment.filter(|_| !predicted.is_empty()) {
+        folder.write("deployment.toml", (head.clone() + &deployment.to_toml()).as_bytes())?;
     }
-    folder.write("conditions.toml", (head + &conditions(fitted, twin).to_toml()).as_bytes())?;
+    folder.write("conditions.toml", (head + &conditions.to_toml()).as_bytes())?;
     let figures = pages::figures(run, first, predicted)?;
     folder.write_page(&figures, &pages::page(words, rows, &figures))
 }
 
-/// Returns the fitted model as conditions for other commands: the plant with its lag and slip, and delay and loss of
-/// the link that carries latents (`None` if no link does).
-fn conditions(fitted: &Fitted, twin: &Trial) -> Conditions {
+/// Returns the fitted model of a team as conditions for other commands: the plant with its lag and slip, and delay and
+/// loss of the link that carries latents (`None` if no link does).
+pub fn of_team(fitted: &Fitted, twin: &Trial) -> Conditions {
     use murmurate::messages::wire::Kind;
     let carries = |kind: &Kind| *kind == Kind::Latent;
     let link = twin.deployment.links.iter().position(|link| link.carries.iter().any(carries));
@@ -86,5 +86,21 @@ fn conditions(fitted: &Fitted, twin: &Trial) -> Conditions {
         scale: twin.deployment.scale,
         delay_s: link.map(|link| link.delay_s),
         loss: link.map(|link| link.loss),
+    }
+}
+
+/// Returns the fitted model of an imported run as conditions for other commands. What was not fitted is left out.
+pub fn of_import(fitted: &Fitted, hull_m: Option<f32>) -> Conditions {
+    let Fitted { lag_s, slip, all_links, .. } = fitted;
+    Conditions {
+        // The plant that has a slip.
+        plant: slip.map(|_| "rigid".to_owned()),
+        lag_s: lag_s.map(|lag_s| rounded(lag_s.value, 1e4) as f32),
+        slip: slip.map(|slip| rounded(slip.share.value, 1e4) as f32),
+        slip_s: slip.map(|slip| rounded(slip.time_s, 1e3) as f32),
+        hull_m,
+        scale: None,
+        delay_s: all_links.map(|link| rounded(link.delay_s.value.max(0.0), 1e6)),
+        loss: all_links.map(|link| rounded(link.loss.value.clamp(0.0, 1.0), 1e4)),
     }
 }

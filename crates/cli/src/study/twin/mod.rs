@@ -17,13 +17,16 @@ use crate::progress::{progress, watched};
 use murmurate::config::shown::counted;
 use murmurate::registry::Registry;
 use murmurate::trial::Trial;
+use murmurate_import::mapping;
 use murmurate_robot::output::{print, talk};
 use murmurate_robot::{BadInput, Ended, bad, own_name};
 use murmurate_study::twin::comparison::{self, Row};
-use murmurate_study::twin::model::{self, Fitted, Given};
+use murmurate_study::twin::lag::Limits;
+use murmurate_study::twin::missing::{self, Held, Missing};
+use murmurate_study::twin::model::{self, Basis, Fitted, Given};
 use murmurate_study::twin::pages::Words;
 use murmurate_study::twin::predict::{self, Predicted};
-use run_of::Recorded;
+use run_of::{Origin, Recorded};
 
 /// Least number of episodes of a recorded run: two to fit and two to predict, so that both have confidence intervals.
 const LEAST: usize = 4;
@@ -35,7 +38,8 @@ const LEAST: usize = 4;
     table says which; 2 a flag or a record is wrong; 130 interrupted, nothing was compared."
 )]
 pub struct Args {
-    /// Records of the hosts of one run, or their folder: what 'launch --record DIR' or 'host --record DIR' wrote
+    /// Records of the hosts of one run, or their folder: what 'launch --record DIR' or 'host --record DIR' wrote; or
+    /// the record of a run from elsewhere, which 'record import' wrote
     #[arg(required = true, value_name = "FILE|DIR")]
     records: Vec<PathBuf>,
     /// Number of times that the second half of the episodes is simulated
@@ -61,6 +65,8 @@ struct Report<'a> {
     given: &'a [String],
     rows: &'a [Row],
     agrees: bool,
+    /// What was not fitted, because the records do not hold it.
+    not_fitted: &'a [Missing],
     notes: &'a [String],
 }
 
@@ -68,69 +74,129 @@ struct Report<'a> {
 /// simulation, compares both, and prints and writes the report.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let given = given(args)?;
-    let Recorded { run, trial, policy, mut notes, digests } = run_of::read(&args.records, registry)?;
-    let count = run.episodes.len();
+    let Recorded { run, origin, mut notes, digests } = run_of::read(&args.records, registry)?;
+    let count = run.count();
     if count < LEAST {
-        return bad(format!(
-            "the records have {} with a result, from the first on; a twin needs at least {LEAST}: half to fit and half \
-             to compare",
-            counted(count, "episode")
-        ));
+        return bad(too_few(count, &origin));
     }
     let first = count / 2;
     let (half, end) = (u32::try_from(first).context("episodes")?, u32::try_from(count).context("episodes")?);
-    let (found, later) = (model::fit(&run, &trial, 0..half), model::fit(&run, &trial, half..end));
-    notes.extend(missing(&found, &trial));
+    let basis = basis(&origin);
+    let (found, later) = (model::fit(&run, &basis, 0..half), model::fit(&run, &basis, half..end));
+    let (missing, more) = said_of(&found, &origin);
+    notes.extend(more);
     let fitted = given.over(found);
-    let mut twin = model::simulation(&fitted, &trial, half);
-    twin.seed = args.run.seed;
-    twin.layouts = twin.layouts.first(end - half);
-    let simulated = trial.deployment.check_simulated().is_ok();
-    let repeats = if simulated { args.repeats } else { 0 };
-    twin.check().map_err(|error| BadInput(format!("the model of this run cannot be simulated: {error}")))?;
+    let twin = twin_of(&origin, &fitted, (half, end), args.run.seed)?;
+    let simulated = twin.as_ref().filter(|twin| twin.deployment.check_simulated().is_ok());
     let folder = args.run.out.as_deref().map(|path| files::open(path, &digests, &command(args))).transpose()?;
-    let Some(predicted) = predict(args, &twin, repeats)? else { return Ok(Ended::Interrupted) };
-    let names: Vec<String> = trial.deployment.links.iter().map(|link| link.name.clone()).collect();
-    let rows = comparison::rows(&run, first, &predicted, (&fitted, &later), (&names, args.run.seed));
+    let repeats = simulated.map_or(0, |_| args.repeats);
+    let predicted = simulated.map_or(Ok(Some(Vec::new())), |twin| predict(args, twin, repeats))?;
+    let Some(predicted) = predicted else { return Ok(Ended::Interrupted) };
+    let rows = comparison::rows(&run, first, &predicted, (&fitted, &later), (&basis.links, args.run.seed));
     let agrees = rows.iter().all(|row| row.agrees);
     let report = Report {
         study: "twin",
-        scenario: trial.scenario.name(),
-        robots: trial.scenario.robots(),
+        scenario: scenario_of(&origin),
+        robots: basis.robots,
         episodes: [first, count - first],
         repeats,
         given: &args.given,
         rows: &rows,
         agrees,
+        not_fitted: &missing,
         notes: &notes,
     };
-    let title = format!(
-        "Twin of a run: {}, scenario {}, mode {}, policy {policy}",
-        counted(report.robots, "robot"),
-        report.scenario,
-        trial.deployment.mode
-    );
-    let predicting = match repeats {
-        0 => "compared with the other".to_owned(),
-        repeats => format!("the other {} predicted in {}", count - first, counted(repeats, "repeat")),
-    };
-    let replaced = if args.given.is_empty() { String::new() } else { format!("; given: {}", args.given.join(", ")) };
-    let head = format!("{title}\nfitted to {}; {predicting}{replaced}", counted(first, "episode"));
-    let text = format!("{head}\n\n{}\n", comparison::text(&rows))
-        + &notes.iter().map(|note| format!("\nnote: {note}")).collect::<String>();
+    let title = title(&origin, basis.robots);
+    let text = in_words(&title, &report);
     if let Some(folder) = &folder {
-        let words = Words {
-            title,
-            command: command(args),
-            episodes: report.episodes,
-            repeats: repeats as usize,
-            notes: notes.clone(),
+        let notes = missing.iter().map(Missing::to_string).chain(notes.iter().cloned()).collect();
+        let (episodes, command) = (report.episodes, command(args));
+        let words = Words { title, command, episodes, repeats: repeats as usize, notes };
+        let conditions = match &origin {
+            Origin::Team(..) => files::of_team(&fitted, twin.as_ref().expect("a team has a twin")),
+            Origin::Elsewhere(mapping, _) => files::of_import(&fitted, mapping.hull_m),
         };
-        files::write(folder, &words, (&run, first, &predicted), (&rows, &text), (&fitted, &twin))?;
+        let model = (&conditions, twin.as_ref().map(|twin| &twin.deployment));
+        files::write(folder, &words, (&run, first, &predicted), (&rows, &text), model)?;
     }
     print(&if args.run.json { serde_json::to_string(&report).context("a report is JSON")? } else { text })?;
     args.run.print_location(folder.as_ref(), "repeats", predicted.len(), predicted.len());
     Ok(if agrees { Ended::Done } else { Ended::Unfit })
+}
+
+/// Returns why `count` episodes of a run are too few, and what to do.
+fn too_few(count: usize, origin: &Origin) -> String {
+    let count = counted(count, "episode");
+    let needs = format!("a twin needs at least {LEAST}: half to fit and half to compare");
+    match origin {
+        Origin::Team(..) => format!("the records have {count} with a result, from the first on; {needs}"),
+        Origin::Elsewhere(..) => format!(
+            "the run has {count}, and {needs}; a length in the mapping, such as episodes = 10.0, cuts it into as many \
+             as it has room for"
+        ),
+    }
+}
+
+/// Returns what the fit of a run takes as given.
+fn basis(origin: &Origin) -> Basis {
+    match origin {
+        Origin::Team(trial, _) => Basis::of(trial),
+        Origin::Elsewhere(mapping, made) => {
+            let mapping::Limits { speed_m_s, axis_m_s2, total_m_s2 } = mapping.limits;
+            let most = |limit: Option<f64>| limit.unwrap_or(f64::INFINITY);
+            let limits = Limits {
+                step_s: mapping.period_s,
+                speed_m_s: most(speed_m_s),
+                axis_m_s2: most(axis_m_s2),
+                total_m_s2: most(total_m_s2),
+            };
+            let (period_ns, robots) = (mapping.period_ns(), mapping.names.len());
+            Basis { period_ns, limits, slips: !made.derived, matches: true, robots, links: Vec::new(), seed: 0 }
+        }
+    }
+}
+
+/// Returns the trial that predicts the episodes from `half` to `end` of a team's run, with the fitted model; `None` for
+/// an imported run, whose goals and policies are not known.
+fn twin_of(origin: &Origin, fitted: &Fitted, (half, end): (u32, u32), seed: u64) -> Result<Option<Trial>> {
+    let Origin::Team(trial, _) = origin else { return Ok(None) };
+    let mut twin = model::simulation(fitted, trial, half);
+    twin.seed = seed;
+    twin.layouts = twin.layouts.first(end - half);
+    twin.check().map_err(|error| BadInput(format!("the model of this run cannot be simulated: {error}")))?;
+    Ok(Some(twin))
+}
+
+fn scenario_of(origin: &Origin) -> &str {
+    match origin {
+        Origin::Team(trial, _) => trial.scenario.name(),
+        Origin::Elsewhere(mapping, _) => mapping.task.as_deref().unwrap_or("none"),
+    }
+}
+
+fn title(origin: &Origin, robots: usize) -> String {
+    let (robots, scenario) = (counted(robots, "robot"), scenario_of(origin));
+    match origin {
+        Origin::Team(trial, policy) => {
+            let mode = &trial.deployment.mode;
+            format!("Twin of a run: {robots}, scenario {scenario}, mode {mode}, policy {policy}")
+        }
+        Origin::Elsewhere(..) => format!("Twin of a run from elsewhere: {robots}, task {scenario}"),
+    }
+}
+
+/// Returns the report as text: its head, the table, what was not fitted, and the notes.
+fn in_words(title: &str, report: &Report) -> String {
+    let [fitted, other] = report.episodes;
+    let predicting = match report.repeats {
+        0 => "compared with the other".to_owned(),
+        repeats => format!("the other {other} predicted in {}", counted(repeats, "repeat")),
+    };
+    let given = if report.given.is_empty() { String::new() } else { format!("; given: {}", report.given.join(", ")) };
+    let head = format!("{title}\nfitted to {}; {predicting}{given}", counted(fitted, "episode"));
+    let lines = report.not_fitted.iter().map(|missing| format!("\n{missing}"));
+    let lines = lines.chain(report.notes.iter().map(|note| format!("\nnote: {note}")));
+    format!("{head}\n\n{}\n", comparison::text(report.rows)) + &lines.collect::<String>()
 }
 
 fn given(args: &Args) -> Result<Given> {
@@ -158,40 +224,34 @@ fn command(args: &Args) -> String {
     command.0
 }
 
-/// Returns notes on what could not be fitted, because the records lack the data.
-fn missing(found: &Fitted, trial: &Trial) -> Vec<String> {
+/// Returns what was not fitted to a run, and notes on how the rest was.
+fn said_of(found: &Fitted, origin: &Origin) -> (Vec<Missing>, Vec<String>) {
     let mut notes = Vec::new();
-    if trial.deployment.check_simulated().is_err() {
-        notes.push(
-            "the robots are real, and a simulation has no part for their drivers and trackers: the model was fitted, \
-             and nothing was predicted with it"
-                .to_owned(),
-        );
-    }
-    if let Some(late_s) = found.late_s {
-        notes.push(format!(
-            "the records have no true states: the lag was fitted to the robots' own estimates, in which a command \
-             shows after {:.0} ms; slip was not fitted",
-            1e3 * late_s
-        ));
-    } else if found.lag_s.is_none() {
-        notes.push(format!(
-            "nothing moved without contact: lag and slip were not fitted, and the lag is that of the team file \
-             ({} s)",
-            trial.physics.lag_s
-        ));
-    }
-    for (link, entry) in found.links.iter().zip(&trial.deployment.links) {
-        if link.is_none() {
-            notes.push(format!("no data crossed the link '{}': it is predicted as ideal", entry.name));
+    match origin {
+        Origin::Team(trial, _) => {
+            notes.extend(found.late_s.map(|late_s| {
+                format!(
+                    "the records have no true states: the lag was fitted to the robots' own estimates, in which a \
+                     command shows after {:.0} ms",
+                    1e3 * late_s
+                )
+            }));
+            (missing::of_team(found, trial), notes)
+        }
+        Origin::Elsewhere(mapping, made) => {
+            notes.extend(found.late_s.map(|late_s| {
+                let (late_ms, period_ms) = (1e3 * late_s, 1e3 * mapping.period_s);
+                format!(
+                    "a command shows in the poses after {late_ms:.0} ms, to {period_ms:.0} ms; the lag is what comes \
+                     after that"
+                )
+            }));
+            notes.extend(found.slip.map(|_| "slip contains the noise of the velocities".to_owned()));
+            let (commands, receipts) = (mapping.command_frame.is_some(), mapping.receipts.is_some());
+            let held = Held { commands, receipts, velocities: !made.derived };
+            (missing::of_import(found, held), notes)
         }
     }
-    if found.offsets_s.iter().any(Option::is_none) {
-        notes.push(
-            "ticks of the robots drift against each other: their offsets are drawn anew for each repeat".to_owned(),
-        );
-    }
-    notes
 }
 
 /// Simulates the second half of the episodes `repeats` times with the fitted model. Returns the results of the repeats;

@@ -1,5 +1,5 @@
-//! Reads the records of all hosts of a run, joins them on a common clock, and builds a trial with the settings of the
-//! run.
+//! Reads the records of a run: of all hosts of a team, on a common clock, with a trial of its settings; or that of an
+//! imported run, with its mapping.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -8,11 +8,14 @@ use anyhow::Result;
 
 use crate::record::chosen;
 use crate::replay::{confine, of_host};
-use murmurate::config::regular;
+use murmurate::config::{self, regular};
 use murmurate::deploy::Routes;
+use murmurate::messages::ids::HostId;
 use murmurate::registry::Registry;
 use murmurate::trial::Trial;
-use murmurate_record::clocks::{Traffic, align};
+use murmurate_import::mapping::Mapping;
+use murmurate_import::record::Made;
+use murmurate_record::clocks::{Alignment, Traffic, align};
 use murmurate_record::identity::Identity;
 use murmurate_record::reader::{self, ReadError};
 use murmurate_replay::files::Files;
@@ -20,24 +23,34 @@ use murmurate_robot::{BadInput, bad, team};
 use murmurate_study::twin::observed::{Log, ObservedTeam, Run};
 use murmurate_study::twin::predict;
 
-/// Recorded run of a team, as read from the records of its hosts, and a trial with the same settings.
+/// Recorded run of a team, as read from its records.
 pub struct Recorded {
     /// Data of the run: results of episodes, motions of robots, and messages between hosts.
     pub run: Run,
-    /// Trial with the settings of the run, under ideal conditions: the fitted model is not applied yet.
-    pub trial: Trial,
-    /// Name of the policy that the robots ran.
-    pub policy: String,
+    /// Where it comes from.
+    pub origin: Origin,
     /// Notes for the report, such as on records that a crash has cut, and on the uncertainty of the clocks.
     pub notes: Vec<String>,
     /// File name and digest of each record.
     pub digests: Vec<String>,
 }
 
+/// Origin of a recorded run.
+pub enum Origin {
+    /// Hosts of a team of this program: a trial with the settings of the run, under ideal conditions (the fitted model
+    /// is not applied yet), and the name of the policy that the robots ran.
+    Team(Box<Trial>, String),
+    /// Files of another program, which were imported by this mapping, and what was made of them.
+    Elsewhere(Box<Mapping>, Made),
+}
+
 /// Reads the records of all hosts of a run; `named` has their files or folders. Fails if the record of a host is
 /// missing.
 pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
     let chosen = chosen::records(named)?.records;
+    if let Some((path, _)) = chosen.iter().find(|(_, identity)| identity.imported) {
+        return imported(path, chosen.len());
+    }
     let wrong = |error: ReadError| BadInput(error.to_string());
     let (mut logs, mut identities, mut notes, mut digests) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     let mut paths = Vec::new();
@@ -70,8 +83,7 @@ pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
         if !log.complete {
             notes.push(format!("'{}' was cut or is damaged: what is intact counts", path.display()));
         }
-        let name = path.file_name().map_or(String::new(), |name| name.to_string_lossy().into_owned());
-        digests.push(format!("{name} {}", digest(&path)?));
+        digests.push(digest(&path)?);
         logs.push(log);
         paths.push(path);
         identities.push(identity);
@@ -85,6 +97,22 @@ pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
     }
     let traffic: Vec<Traffic> = logs.iter_mut().map(|log| std::mem::take(&mut log.traffic)).collect();
     let alignment = align(&traffic);
+    notes.extend(of_clocks(&alignment, &identities));
+    let routes = Routes::of(&trial.deployment);
+    let team = ObservedTeam {
+        routes: &routes,
+        hosts: trial.deployment.hosts.len(),
+        robots: trial.deployment.robots,
+        rules: predict::rules(&trial),
+        period_ns: trial.models.period().as_nanos() as i64,
+    };
+    let run = Run::of(&logs, &alignment, &team);
+    Ok(Recorded { run, origin: Origin::Team(Box::new(trial), policy), notes, digests })
+}
+
+/// Returns notes on the clocks of the hosts: which are not known, and how far the others are.
+fn of_clocks(alignment: &Alignment, identities: &[Identity]) -> Vec<String> {
+    let mut notes = Vec::new();
     for (identity, _) in identities.iter().zip(&alignment.clocks).filter(|(_, clock)| clock.is_none()) {
         let name = identity.host.as_ref().map_or("", |host| &host.name);
         notes.push(format!("a record of '{name}' is left out: no datagrams join its clock with the others'"));
@@ -95,23 +123,39 @@ pub fn read(named: &[PathBuf], registry: &Registry) -> Result<Recorded> {
          directions of a link is not",
         uncertainty as f64 / 1e6
     ));
-    let routes = Routes::of(&trial.deployment);
-    let team = ObservedTeam {
-        routes: &routes,
-        hosts: trial.deployment.hosts.len(),
-        robots: trial.deployment.robots,
-        rules: predict::rules(&trial),
-        period_ns: trial.models.period().as_nanos() as i64,
-    };
-    Ok(Recorded { run: Run::of(&logs, &alignment, &team), trial, policy, notes, digests })
+    notes
 }
 
-/// Returns the digest of a file, which may be longer than memory.
+/// Reads an imported run from its record, which is one of `named` records.
+fn imported(path: &Path, named: usize) -> Result<Recorded> {
+    let at = path.display();
+    if named > 1 {
+        return bad(format!("'{at}' is a run from elsewhere, of all its robots: name it alone"));
+    }
+    let opened = reader::open(path).map_err(|error| BadInput(error.to_string()))?;
+    let [(_, text), (_, made), ..] = &opened.attached[..] else {
+        return bad(format!("'{at}' has no mapping: import the run again, by 'record import'"));
+    };
+    let made: Made = serde_json::from_slice(made)
+        .map_err(|error| BadInput(format!("'{}' in '{at}': {}", Made::FILE, config::json(&error))))?;
+    let mapping = Mapping::of_text(&String::from_utf8_lossy(text));
+    let mapping = mapping.map_err(|error| BadInput(format!("the mapping in '{at}': {error}")))?;
+    let log = Log::read(path, HostId(0)).map_err(|error| BadInput(error.to_string()))?;
+    let mut notes = Vec::new();
+    if !log.complete {
+        notes.push(format!("'{at}' was cut or is damaged: what is intact counts"));
+    }
+    let run = Run::imported(&log, mapping.names.len(), mapping.period_ns());
+    Ok(Recorded { run, origin: Origin::Elsewhere(Box::new(mapping), made), notes, digests: vec![digest(path)?] })
+}
+
+/// Returns the name of a file and its digest. The file may be longer than memory.
 fn digest(path: &Path) -> Result<String> {
+    let name = path.file_name().map_or(String::new(), |name| name.to_string_lossy().into_owned());
     let (mut file, mut hasher, mut piece) = (regular::open(path)?, blake3::Hasher::new(), vec![0; 1 << 16]);
     loop {
         match file.read(&mut piece)? {
-            0 => return Ok(hasher.finalize().to_hex().to_string()),
+            0 => return Ok(format!("{name} {}", hasher.finalize().to_hex())),
             read => hasher.update(&piece[..read]),
         };
     }
