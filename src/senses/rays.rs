@@ -1,8 +1,10 @@
 //! Rays of a range finder in the plane: how far each goes until it meets a disc, a box, or the rails about the ground.
 //!
-//! Each obstacle is intersected with all rays in one loop without branches, in 32-bit floats, so the compiler computes
-//! several rays at once. A box is met by the slab method (Kay and Kajiya, 1986), a disc where the ray's line passes
-//! its centre closer than its radius. No call allocates.
+//! Each obstacle within reach is intersected with all rays, a block of them at a time, without branches and in 32-bit
+//! floats, so the compiler computes the rays of a block at once. A box is met by the slab method (Kay and Kajiya, 1986),
+//! a disc where the ray's line passes its centre closer than its radius. No call allocates.
+
+use std::array::from_fn;
 
 use crate::messages::geometry::Vec2;
 use crate::scenario::KeepOut;
@@ -13,6 +15,15 @@ pub const MAX_RAYS: usize = 256;
 /// Component of a direction that stands for zero, so that its inverse is finite.
 const ALMOST_ZERO: f32 = 1e-12;
 
+/// Number of rays in a block: floats of a vector register that every machine has.
+const BLOCK: usize = 4;
+
+/// Share of a distance that a ray along it has at least, for all rounding of its direction.
+const ROUNDING: f32 = 0.999;
+
+/// One number of each ray of a block.
+type Block = [f32; BLOCK];
+
 /// Disc in the plane, such as the hull of a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Disc {
@@ -22,28 +33,39 @@ pub struct Disc {
     pub radius_m: f32,
 }
 
-/// Fan of rays from one point, at fixed angles to each other.
+/// Fan of rays from one point, at fixed angles to each other, and the distances along them until they meet something.
 #[derive(Clone, Debug)]
 pub struct Rays {
     /// Cosine and sine of each ray's angle in the frame of the fan.
     fan: Vec<[f32; 2]>,
-    /// Components of each ray's direction in the world frame, and their inverses.
-    x: Vec<f32>,
-    y: Vec<f32>,
-    per_x: Vec<f32>,
-    per_y: Vec<f32>,
+    /// Directions of the rays. The last block repeats the last ray.
+    directions: Vec<Directions>,
+    /// Distance along each ray, by block.
+    ranges: Vec<Block>,
     origin: Vec2,
+    /// Heading to which the fan was turned last \[rad\].
+    heading: Option<f32>,
     range_m: f32,
 }
 
+/// Components of the directions of the rays of a block in the world frame, and their inverses.
+#[derive(Clone, Copy, Debug, Default)]
+struct Directions {
+    x: Block,
+    y: Block,
+    per_x: Block,
+    per_y: Block,
+}
+
 impl Rays {
-    /// Makes `rays` rays; the first is at the angle `from_rad` and each next one `step_rad` further, counter-clockwise
-    /// \[rad\]. They see as far as `range_m` \[m\].
+    /// Makes `rays` rays, at least one; the first is at the angle `from_rad` and each next one `step_rad` further,
+    /// counter-clockwise \[rad\]. They see as far as `range_m` \[m\].
     pub fn new(rays: usize, (from_rad, step_rad): (f64, f64), range_m: f32) -> Rays {
         let angle = |ray: usize| libm::sincos(from_rad + step_rad * ray as f64);
-        let fan = (0..rays).map(angle).map(|(sin, cos)| [cos as f32, sin as f32]).collect();
-        let [x, y, per_x, per_y] = [(); 4].map(|()| vec![0.0; rays]);
-        Rays { fan, x, y, per_x, per_y, origin: Vec2::zeros(), range_m }
+        let fan: Vec<[f32; 2]> = (0..rays).map(angle).map(|(sin, cos)| [cos as f32, sin as f32]).collect();
+        let blocks = rays.div_ceil(BLOCK);
+        let (directions, ranges) = (vec![Directions::default(); blocks], vec![[f32::INFINITY; BLOCK]; blocks]);
+        Rays { fan, directions, ranges, origin: Vec2::zeros(), heading: None, range_m }
     }
 
     /// Returns the number of rays.
@@ -51,109 +73,153 @@ impl Rays {
         self.fan.len()
     }
 
-    /// Puts the fan at `origin` \[m\], world frame, turned by `heading` \[rad\], and writes the distance along each ray
-    /// into `ranges` for an empty world: infinite. `ranges` has one entry for each ray.
-    pub fn place(&mut self, origin: Vec2, heading: f32, ranges: &mut [f32]) {
+    /// Puts the fan at `origin` \[m\], world frame, turned by `heading` \[rad\], into an empty world.
+    #[inline]
+    pub fn place(&mut self, origin: Vec2, heading: f32) {
         self.origin = origin;
+        self.ranges.fill([f32::INFINITY; BLOCK]);
+        if self.heading.map(f32::to_bits) != Some(heading.to_bits()) {
+            self.turn(heading);
+        }
+    }
+
+    fn turn(&mut self, heading: f32) {
+        self.heading = Some(heading);
         let (sin, cos) = libm::sincosf(heading);
         let away_from_zero = |d: f32| if d.abs() < ALMOST_ZERO { ALMOST_ZERO } else { d };
-        let directions = self.x.iter_mut().zip(&mut self.y).zip(self.per_x.iter_mut().zip(&mut self.per_y));
-        for (([c, s], ((x, y), (per_x, per_y))), range) in self.fan.iter().zip(directions).zip(ranges) {
-            (*x, *y) = (cos * c - sin * s, sin * c + cos * s);
-            (*per_x, *per_y) = (1.0 / away_from_zero(*x), 1.0 / away_from_zero(*y));
-            *range = f32::INFINITY;
+        let last = self.fan.len() - 1;
+        for (at, directions) in self.directions.iter_mut().enumerate() {
+            let fan: [[f32; 2]; BLOCK] = from_fn(|ray| self.fan[last.min(at * BLOCK + ray)]);
+            let (x, y) = (fan.map(|[c, s]| cos * c - sin * s), fan.map(|[c, s]| sin * c + cos * s));
+            let inverse = |d: f32| 1.0 / away_from_zero(d);
+            *directions = Directions { x, y, per_x: x.map(inverse), per_y: y.map(inverse) };
+        }
+    }
+
+    /// Shortens each ray to the distance that `met` returns for the rays of a block, where that is shorter.
+    #[inline(always)]
+    fn shorten(&mut self, met: impl Fn(&Directions) -> Block) {
+        for (directions, ranges) in self.directions.iter().zip(&mut self.ranges) {
+            let met = met(directions);
+            // What is not a number is below no range.
+            *ranges = from_fn(|ray| smaller(met[ray], ranges[ray]));
         }
     }
 
     /// Shortens the rays that meet the disc in front of their origin; to zero if the origin is inside.
-    pub fn meet_disc(&self, disc: &Disc, ranges: &mut [f32]) {
+    #[inline]
+    pub fn meet_disc(&mut self, disc: &Disc) {
         let to = disc.centre - self.origin;
-        let (square, radius) = (to.norm_squared(), disc.radius_m);
-        let farthest = self.range_m + radius;
-        if square > farthest * farthest {
-            return;
-        }
-        if square <= radius * radius {
-            ranges.fill(0.0);
-            return;
-        }
-        for ((x, y), range) in self.x.iter().zip(&self.y).zip(ranges) {
-            let along = to.x * x + to.y * y;
-            let beside = to.x * y - to.y * x;
-            // The difference of squares as a product, which keeps the digits of a ray that passes near the edge.
-            let half_chord = (radius - beside) * (radius + beside);
-            // The root of a negative number is not a number, which is below no range.
-            let met = along - half_chord.sqrt();
-            *range = if (along > 0.0) & (met < *range) { met } else { *range };
+        let (square, farthest) = (to.norm_squared(), self.range_m + disc.radius_m);
+        if square <= farthest * farthest {
+            self.meet_near_disc(to, disc.radius_m);
         }
     }
 
+    /// Shortens the rays that meet a disc whose centre is `to` \[m\] from their origin.
+    fn meet_near_disc(&mut self, to: Vec2, radius: f32) {
+        if to.norm_squared() <= radius * radius {
+            self.ranges.fill([0.0; BLOCK]);
+            return;
+        }
+        self.shorten(|Directions { x, y, .. }| {
+            from_fn(|ray| {
+                let along = to.x * x[ray] + to.y * y[ray];
+                let beside = to.x * y[ray] - to.y * x[ray];
+                // The difference of squares as a product, which keeps the digits of a ray that passes near the edge.
+                let half_chord = (radius - beside) * (radius + beside);
+                // The root of a negative number is not a number.
+                let met = along - half_chord.sqrt();
+                if along > 0.0 { met } else { f32::INFINITY }
+            })
+        });
+    }
+
     /// Shortens the rays that meet the box in front of their origin; to zero if the origin is inside.
-    fn meet_box(&self, block: &KeepOut, ranges: &mut [f32]) {
+    fn meet_box(&mut self, block: &KeepOut) {
         let nearest = self.origin.sup(&block.min).inf(&block.max);
         if (nearest - self.origin).norm_squared() > self.range_m * self.range_m {
             return;
         }
         let (low, high) = (block.min - self.origin, block.max - self.origin);
-        for ((per_x, per_y), range) in self.per_x.iter().zip(&self.per_y).zip(ranges) {
-            let (x0, x1) = (low.x * per_x, high.x * per_x);
-            let (y0, y1) = (low.y * per_y, high.y * per_y);
-            let enters = larger(smaller(x0, x1), smaller(y0, y1));
-            let leaves = smaller(larger(x0, x1), larger(y0, y1));
-            let met = larger(enters, 0.0);
-            *range = if (met <= leaves) & (met < *range) { met } else { *range };
-        }
+        self.shorten(|Directions { per_x, per_y, .. }| {
+            from_fn(|ray| {
+                let (x0, x1) = (low.x * per_x[ray], high.x * per_x[ray]);
+                let (y0, y1) = (low.y * per_y[ray], high.y * per_y[ray]);
+                let enters = larger(smaller(x0, x1), smaller(y0, y1));
+                let leaves = smaller(larger(x0, x1), larger(y0, y1));
+                let met = larger(enters, 0.0);
+                if met <= leaves { met } else { f32::INFINITY }
+            })
+        });
     }
 
     /// Shortens the rays that meet a block in front of their origin; to zero if the origin is inside.
-    pub fn meet_block(&self, block: &KeepOut, ranges: &mut [f32]) {
+    pub fn meet_block(&mut self, block: &KeepOut) {
         if block.is_rect() {
-            self.meet_box(block, ranges);
+            self.meet_box(block);
         } else if block.radius_m() > 0.0 {
-            block.corners().for_each(|centre| self.meet_disc(&Disc { centre, radius_m: block.radius_m() }, ranges));
+            block.corners().for_each(|centre| self.meet_disc(&Disc { centre, radius_m: block.radius_m() }));
         } else if block.distance(self.origin) <= self.range_m {
-            self.meet_polygon(block, ranges);
+            self.meet_polygon(block);
         }
     }
 
     /// Shortens the rays that meet a convex polygon (Cyrus and Beck, 1978).
-    fn meet_polygon(&self, block: &KeepOut, ranges: &mut [f32]) {
-        for ((x, y), range) in self.x.iter().zip(&self.y).zip(ranges) {
-            let (mut enters, mut leaves) = (0.0, f32::INFINITY);
-            for [from, to] in block.sides() {
-                let outward = Vec2::new(to.y - from.y, from.x - to.x);
-                let along = outward.x * x + outward.y * y;
-                let meets = |along: f32| outward.dot(&(from - self.origin)) / along;
-                if along >= ALMOST_ZERO {
-                    leaves = smaller(leaves, meets(along));
-                } else {
-                    // A ray beside the side enters never, or long ago.
-                    enters = larger(enters, meets(smaller(along, -ALMOST_ZERO)));
+    fn meet_polygon(&mut self, block: &KeepOut) {
+        let origin = self.origin;
+        self.shorten(|Directions { x, y, .. }| {
+            from_fn(|ray| {
+                let (mut enters, mut leaves) = (0.0, f32::INFINITY);
+                for [from, to] in block.sides() {
+                    let outward = Vec2::new(to.y - from.y, from.x - to.x);
+                    let along = outward.x * x[ray] + outward.y * y[ray];
+                    let meets = |along: f32| outward.dot(&(from - origin)) / along;
+                    if along >= ALMOST_ZERO {
+                        leaves = smaller(leaves, meets(along));
+                    } else {
+                        // A ray beside the side enters never, or long ago.
+                        enters = larger(enters, meets(smaller(along, -ALMOST_ZERO)));
+                    }
                 }
-            }
-            *range = if (enters <= leaves) & (enters < *range) { enters } else { *range };
-        }
+                if enters <= leaves { enters } else { f32::INFINITY }
+            })
+        });
     }
 
     /// Shortens the rays to the rails about a ground whose middle is the origin of the world frame; `half` is half the
     /// inner length of the rails along x and y \[m\]. Rays from outside do not meet them.
-    pub fn meet_rails(&self, half: Vec2, ranges: &mut [f32]) {
+    #[inline]
+    pub fn meet_rails(&mut self, half: Vec2) {
         let (low, high) = (-half - self.origin, half - self.origin);
-        if !(low.max() <= 0.0 && high.min() >= 0.0) {
-            return;
-        }
-        for ((per_x, per_y), range) in self.per_x.iter().zip(&self.per_y).zip(ranges) {
-            let along_x = larger(low.x * per_x, high.x * per_x);
-            let along_y = larger(low.y * per_y, high.y * per_y);
-            let met = smaller(along_x, along_y);
-            *range = if met < *range { met } else { *range };
+        let nearest_m = smaller(-larger(low.x, low.y), smaller(high.x, high.y));
+        if nearest_m >= 0.0 && nearest_m * ROUNDING <= self.range_m {
+            self.meet_near_rails(low, high);
         }
     }
 
-    /// Makes all distances beyond the range infinite, as no echo.
-    pub fn limit(&self, ranges: &mut [f32]) {
-        let most = self.range_m;
-        ranges.iter_mut().for_each(|range| *range = if *range <= most { *range } else { f32::INFINITY });
+    /// Shortens the rays to rails, of which `low` and `high` are two opposite corners as seen from their origin \[m\].
+    fn meet_near_rails(&mut self, low: Vec2, high: Vec2) {
+        self.shorten(|Directions { per_x, per_y, .. }| {
+            from_fn(|ray| {
+                let along_x = larger(low.x * per_x[ray], high.x * per_x[ray]);
+                let along_y = larger(low.y * per_y[ray], high.y * per_y[ray]);
+                smaller(along_x, along_y)
+            })
+        });
+    }
+
+    /// Writes the distance along each ray \[m\] into `ranges`, which has one entry for each; infinite beyond the range, as
+    /// no echo.
+    #[inline]
+    pub fn write(&self, ranges: &mut [f32]) {
+        let seen = |range: f32| if range <= self.range_m { range } else { f32::INFINITY };
+        let (blocks, rest) = ranges.as_chunks_mut::<BLOCK>();
+        for (block, met) in blocks.iter_mut().zip(&self.ranges) {
+            *block = met.map(seen);
+        }
+        let last = self.ranges.last().map(|met| met.map(seen)).unwrap_or_default();
+        rest.copy_from_slice(&last[..rest.len()]);
     }
 }
 
@@ -176,13 +242,20 @@ mod tests {
     use super::*;
     use crate::random::{RngExt, Seed};
 
-    fn four(origin: Vec2, heading: f32) -> (Rays, Vec<f32>) {
-        let (mut rays, mut ranges) = (Rays::new(4, (0.0, FRAC_PI_2), 5.0), vec![0.0; 4]);
-        rays.place(origin, heading, &mut ranges);
-        (rays, ranges)
+    fn four(origin: Vec2, heading: f32) -> Rays {
+        let mut rays = Rays::new(4, (0.0, FRAC_PI_2), 5.0);
+        rays.place(origin, heading);
+        rays
     }
 
-    fn near(found: &[f32], expected: [f32; 4]) {
+    fn written(rays: &Rays) -> Vec<f32> {
+        let mut ranges = vec![0.0; rays.count()];
+        rays.write(&mut ranges);
+        ranges
+    }
+
+    fn near(rays: &Rays, expected: [f32; 4]) {
+        let found = written(rays);
         let same = |(one, other): (&f32, &f32)| (one - other).abs() < 1e-5 || (one == other);
         assert!(found.iter().zip(&expected).all(same), "{found:?}, not {expected:?}");
     }
@@ -191,48 +264,47 @@ mod tests {
 
     #[test]
     fn rays_meet_what_is_in_front_of_them_and_the_nearest_of_it() {
-        let (rays, mut ranges) = four(Vec2::new(1.0, 1.0), 0.0);
-        rays.meet_disc(&Disc { centre: Vec2::new(3.0, 1.0), radius_m: 0.5 }, &mut ranges);
-        rays.meet_box(&KeepOut::rect(Vec2::new(0.0, 2.0), Vec2::new(2.0, 3.0)), &mut ranges);
-        rays.limit(&mut ranges);
-        near(&ranges, [1.5, 1.0, NONE, NONE]);
-        rays.meet_disc(&Disc { centre: Vec2::new(2.0, 1.0), radius_m: 0.25 }, &mut ranges);
-        rays.meet_disc(&Disc { centre: Vec2::new(1.0, 4.0), radius_m: 0.25 }, &mut ranges);
-        near(&ranges, [0.75, 1.0, NONE, NONE]);
+        let mut rays = four(Vec2::new(1.0, 1.0), 0.0);
+        rays.meet_disc(&Disc { centre: Vec2::new(3.0, 1.0), radius_m: 0.5 });
+        rays.meet_box(&KeepOut::rect(Vec2::new(0.0, 2.0), Vec2::new(2.0, 3.0)));
+        near(&rays, [1.5, 1.0, NONE, NONE]);
+        rays.meet_disc(&Disc { centre: Vec2::new(2.0, 1.0), radius_m: 0.25 });
+        rays.meet_disc(&Disc { centre: Vec2::new(1.0, 4.0), radius_m: 0.25 });
+        near(&rays, [0.75, 1.0, NONE, NONE]);
     }
 
     #[test]
     fn a_fan_is_turned_with_its_robot_and_sees_no_farther_than_its_range() {
-        let (rays, mut ranges) = four(Vec2::zeros(), FRAC_PI_2 as f32);
-        rays.meet_disc(&Disc { centre: Vec2::new(0.0, 2.0), radius_m: 0.5 }, &mut ranges);
-        rays.meet_disc(&Disc { centre: Vec2::new(-5.4, 0.0), radius_m: 0.5 }, &mut ranges);
-        rays.meet_box(&KeepOut::rect(Vec2::new(-1.0, -6.0), Vec2::new(1.0, -5.1)), &mut ranges);
-        rays.limit(&mut ranges);
-        near(&ranges, [1.5, 4.9, NONE, NONE]);
+        let mut rays = four(Vec2::zeros(), FRAC_PI_2 as f32);
+        rays.meet_disc(&Disc { centre: Vec2::new(0.0, 2.0), radius_m: 0.5 });
+        rays.meet_disc(&Disc { centre: Vec2::new(-5.4, 0.0), radius_m: 0.5 });
+        rays.meet_box(&KeepOut::rect(Vec2::new(-1.0, -6.0), Vec2::new(1.0, -5.1)));
+        near(&rays, [1.5, 4.9, NONE, NONE]);
     }
 
     #[test]
     fn from_inside_an_obstacle_every_ray_ends_at_once_and_rails_are_met_from_inside() {
         for inside in [Vec2::new(0.1, 0.0), Vec2::zeros()] {
-            let (rays, mut ranges) = four(inside, 0.3);
-            rays.meet_disc(&Disc { centre: Vec2::zeros(), radius_m: 0.5 }, &mut ranges);
-            near(&ranges, [0.0; 4]);
-            let (rays, mut ranges) = four(inside, 0.3);
-            rays.meet_box(&KeepOut::rect(Vec2::new(-1.0, -1.0), Vec2::new(1.0, 1.0)), &mut ranges);
-            near(&ranges, [0.0; 4]);
+            let mut rays = four(inside, 0.3);
+            rays.meet_disc(&Disc { centre: Vec2::zeros(), radius_m: 0.5 });
+            near(&rays, [0.0; 4]);
+            let mut rays = four(inside, 0.3);
+            rays.meet_box(&KeepOut::rect(Vec2::new(-1.0, -1.0), Vec2::new(1.0, 1.0)));
+            near(&rays, [0.0; 4]);
         }
-        let (rays, mut ranges) = four(Vec2::new(1.0, 0.0), 0.0);
-        rays.meet_rails(Vec2::new(2.0, 3.0), &mut ranges);
-        near(&ranges, [1.0, 3.0, 3.0, 3.0]);
-        let (rays, mut ranges) = four(Vec2::new(3.0, 0.0), 0.0);
-        rays.meet_rails(Vec2::new(2.0, 3.0), &mut ranges);
-        near(&ranges, [NONE; 4]);
+        let mut rays = four(Vec2::new(1.0, 0.0), 0.0);
+        rays.meet_rails(Vec2::new(2.0, 3.0));
+        near(&rays, [1.0, 3.0, 3.0, 3.0]);
+        let mut rays = four(Vec2::new(3.0, 0.0), 0.0);
+        rays.meet_rails(Vec2::new(2.0, 3.0));
+        near(&rays, [NONE; 4]);
     }
 
     #[test]
     fn a_ray_along_the_face_of_a_box_is_no_error() {
-        let (rays, mut ranges) = four(Vec2::new(0.0, 1.0), 0.0);
-        rays.meet_box(&KeepOut::rect(Vec2::new(1.0, 0.0), Vec2::new(2.0, 1.0)), &mut ranges);
+        let mut rays = four(Vec2::new(0.0, 1.0), 0.0);
+        rays.meet_box(&KeepOut::rect(Vec2::new(1.0, 0.0), Vec2::new(2.0, 1.0)));
+        let ranges = written(&rays);
         assert!(ranges.iter().all(|range| !range.is_nan()), "{ranges:?}");
     }
 
@@ -248,13 +320,13 @@ mod tests {
     fn a_ray_meets_a_polygon_and_a_disc_as_small_steps_do() {
         let corners = [[1.0, -0.5], [2.0, 0.0], [1.5, 1.0], [0.6, 0.7]].map(Vec2::from);
         let blocks = [KeepOut::polygon(corners.to_vec()), KeepOut::disc(Vec2::new(-1.0, 0.4), 0.6)];
-        let (mut rays, mut ranges) = (Rays::new(97, (0.1, TAU / 97.0), 3.0), vec![0.0; 97]);
+        let mut rays = Rays::new(97, (0.1, TAU / 97.0), 3.0);
         for origin in [[0.0, 0.0], [1.3, 0.2], [3.0, 1.0], [-1.0, -2.0]].map(Vec2::from) {
-            rays.place(origin, 0.4, &mut ranges);
-            blocks.iter().for_each(|block| rays.meet_block(block, &mut ranges));
-            rays.limit(&mut ranges);
-            for (ray, range) in ranges.iter().enumerate() {
-                let at = |step: u32| origin + Vec2::new(rays.x[ray], rays.y[ray]) * (step as f32 * 1e-3);
+            rays.place(origin, 0.4);
+            blocks.iter().for_each(|block| rays.meet_block(block));
+            for (ray, range) in written(&rays).iter().enumerate() {
+                let Directions { x, y, .. } = rays.directions[ray / BLOCK];
+                let at = |step: u32| origin + Vec2::new(x[ray % BLOCK], y[ray % BLOCK]) * (step as f32 * 1e-3);
                 let solid = |step: &u32| blocks.iter().any(|block| block.distance(at(*step)) == 0.0);
                 let walked = (0..3000).find(solid).map_or(f32::INFINITY, |step| step as f32 * 1e-3);
                 let same = (walked - range).abs() < 3e-3 || walked == *range;
@@ -270,12 +342,11 @@ mod tests {
             let mut at = || Vec2::new(stream.random_range(-2.0..2.0), stream.random_range(-2.0..2.0));
             let (origin, disc, corner) = (at(), Disc { centre: at(), radius_m: 0.3 }, at());
             let block = KeepOut::rect(corner, corner + Vec2::new(0.7, 0.4));
-            let (mut rays, mut ranges) = (Rays::new(16, (0.1, TAU / 16.0), 4.0), vec![0.0; 16]);
-            rays.place(origin, 0.0, &mut ranges);
-            rays.meet_disc(&disc, &mut ranges);
-            rays.meet_box(&block, &mut ranges);
-            rays.limit(&mut ranges);
-            for (ray, range) in ranges.iter().enumerate() {
+            let mut rays = Rays::new(16, (0.1, TAU / 16.0), 4.0);
+            rays.place(origin, 0.0);
+            rays.meet_disc(&disc);
+            rays.meet_box(&block);
+            for (ray, range) in written(&rays).iter().enumerate() {
                 let walked = walked(origin, 0.1 + TAU / 16.0 * ray as f64, |x, y| {
                     let point = Vec2::new(x as f32, y as f32);
                     (point - disc.centre).norm() <= 0.3 || block.nearest(point) == point

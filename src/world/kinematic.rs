@@ -7,6 +7,7 @@
 //!
 //! The function `step` alone defines these dynamics. The World, an actor, and the trainer both call it.
 
+use std::array::from_fn;
 use std::collections::BTreeMap;
 
 use super::{ContactRule, Physics, Plant, PlantState, Wheels};
@@ -54,7 +55,6 @@ pub struct TeamMotion<'a> {
 pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut TeamMotion) {
     team.before.copy_from_slice(team.position);
     let (max_acceleration, gain) = (physics.acceleration_m_s2, physics.gain(PERIOD));
-    // The same expression for both axes, so that the compiler vectorizes the divisions.
     let driven = |velocity: f32, command: f32| {
         let mut wanted = limited(command, MAX_SPEED_M_S);
         if gain < 1.0 {
@@ -63,8 +63,17 @@ pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team
         velocity + limited((wanted - velocity) / DT_S, max_acceleration) * DT_S
     };
     if team.wheels.is_empty() {
-        for (velocity, command) in team.velocity.iter_mut().zip(commands) {
-            *velocity = Vec2::new(driven(velocity.x, command.x), driven(velocity.y, command.y));
+        // The axes of two robots at once, so that the compiler computes them as one vector.
+        let axes = |[one, other]: [Vec2; 2]| [one.x, one.y, other.x, other.y];
+        let (pairs, last) = team.velocity.as_chunks_mut::<2>();
+        let (pairs_commanded, last_commanded) = commands.as_chunks::<2>();
+        for (pair, commands) in pairs.iter_mut().zip(pairs_commanded) {
+            let (velocity, command) = (axes(*pair), axes(*commands));
+            let [a, b, c, d] = from_fn(|axis| driven(velocity[axis], command[axis]));
+            *pair = [Vec2::new(a, b), Vec2::new(c, d)];
+        }
+        for (velocity, command) in last.iter_mut().zip(last_commanded) {
+            *velocity = velocity.zip_map(command, driven);
         }
     } else {
         for ((velocity, wheels), command) in team.velocity.iter_mut().zip(&mut *team.wheels).zip(commands) {
