@@ -6,7 +6,7 @@ use std::f64::consts::{PI, TAU};
 use serde::Deserialize;
 
 use super::paced::{Measure, Pace};
-use super::rays::{Disc, MAX_RAYS, Rays};
+use super::rays::{MAX_RAYS, Rays};
 use super::{Layout, Parts, Site, WHOLE_RAD};
 use crate::config::{ConfigError, in_range};
 use crate::edge::Settings;
@@ -190,7 +190,7 @@ impl Scanner {
         }
         let radius_m = arena.hull_m();
         self.rays.place(origin, ahead);
-        others.for_each(|centre| self.rays.meet_disc(&Disc { centre, radius_m }));
+        self.rays.meet_discs(others, radius_m);
         arena.keep_outs.iter().for_each(|block| self.rays.meet_block(block));
         if self.rails {
             // The hull of a robot touches the rails when its centre is at the end of the ground.
@@ -201,10 +201,14 @@ impl Scanner {
 
     /// Adds noise to the distances, and takes away the echoes that are lost. Without noise and losses no number is
     /// drawn; with them as many for each ray, whatever it meets.
+    #[inline]
     pub fn disturb(&self, stream: &mut Stream, ranges: &mut [f32]) {
-        if self.noise_m <= 0.0 && self.dropouts <= 0.0 {
-            return;
+        if self.noise_m > 0.0 || self.dropouts > 0.0 {
+            self.disturb_each(stream, ranges);
         }
+    }
+
+    fn disturb_each(&self, stream: &mut Stream, ranges: &mut [f32]) {
         let (noise, most) = (self.noise_m, self.sweep.range_m);
         for range in ranges {
             if noise > 0.0 {

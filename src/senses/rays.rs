@@ -24,15 +24,6 @@ const ROUNDING: f32 = 0.999;
 /// One number of each ray of a block.
 type Block = [f32; BLOCK];
 
-/// Disc in the plane, such as the hull of a robot.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Disc {
-    /// Centre \[m\], world frame.
-    pub centre: Vec2,
-    /// Radius \[m\].
-    pub radius_m: f32,
-}
-
 /// Fan of rays from one point, at fixed angles to each other, and the distances along them until they meet something.
 #[derive(Clone, Debug)]
 pub struct Rays {
@@ -106,14 +97,18 @@ impl Rays {
         }
     }
 
-    /// Shortens the rays that meet the disc in front of their origin; to zero if the origin is inside.
+    /// Shortens the rays that meet discs in front of their origin; to zero if the origin is inside. The discs have these
+    /// centres \[m\], world frame, and one radius.
     #[inline]
-    pub fn meet_disc(&mut self, disc: &Disc) {
-        let to = disc.centre - self.origin;
-        let (square, farthest) = (to.norm_squared(), self.range_m + disc.radius_m);
-        if square <= farthest * farthest {
-            self.meet_near_disc(to, disc.radius_m);
-        }
+    pub fn meet_discs(&mut self, centres: impl Iterator<Item = Vec2>, radius_m: f32) {
+        let (origin, farthest) = (self.origin, self.range_m + radius_m);
+        let farthest_square = farthest * farthest;
+        centres.for_each(|centre| {
+            let to = centre - origin;
+            if to.norm_squared() <= farthest_square {
+                self.meet_near_disc(to, radius_m);
+            }
+        });
     }
 
     /// Shortens the rays that meet a disc whose centre is `to` \[m\] from their origin.
@@ -159,7 +154,7 @@ impl Rays {
         if block.is_rect() {
             self.meet_box(block);
         } else if block.radius_m() > 0.0 {
-            block.corners().for_each(|centre| self.meet_disc(&Disc { centre, radius_m: block.radius_m() }));
+            self.meet_discs(block.corners(), block.radius_m());
         } else if block.distance(self.origin) <= self.range_m {
             self.meet_polygon(block);
         }
@@ -248,6 +243,10 @@ mod tests {
         rays
     }
 
+    fn meet(rays: &mut Rays, centre: Vec2, radius_m: f32) {
+        rays.meet_discs(std::iter::once(centre), radius_m);
+    }
+
     fn written(rays: &Rays) -> Vec<f32> {
         let mut ranges = vec![0.0; rays.count()];
         rays.write(&mut ranges);
@@ -265,19 +264,19 @@ mod tests {
     #[test]
     fn rays_meet_what_is_in_front_of_them_and_the_nearest_of_it() {
         let mut rays = four(Vec2::new(1.0, 1.0), 0.0);
-        rays.meet_disc(&Disc { centre: Vec2::new(3.0, 1.0), radius_m: 0.5 });
+        meet(&mut rays, Vec2::new(3.0, 1.0), 0.5);
         rays.meet_box(&KeepOut::rect(Vec2::new(0.0, 2.0), Vec2::new(2.0, 3.0)));
         near(&rays, [1.5, 1.0, NONE, NONE]);
-        rays.meet_disc(&Disc { centre: Vec2::new(2.0, 1.0), radius_m: 0.25 });
-        rays.meet_disc(&Disc { centre: Vec2::new(1.0, 4.0), radius_m: 0.25 });
+        meet(&mut rays, Vec2::new(2.0, 1.0), 0.25);
+        meet(&mut rays, Vec2::new(1.0, 4.0), 0.25);
         near(&rays, [0.75, 1.0, NONE, NONE]);
     }
 
     #[test]
     fn a_fan_is_turned_with_its_robot_and_sees_no_farther_than_its_range() {
         let mut rays = four(Vec2::zeros(), FRAC_PI_2 as f32);
-        rays.meet_disc(&Disc { centre: Vec2::new(0.0, 2.0), radius_m: 0.5 });
-        rays.meet_disc(&Disc { centre: Vec2::new(-5.4, 0.0), radius_m: 0.5 });
+        meet(&mut rays, Vec2::new(0.0, 2.0), 0.5);
+        meet(&mut rays, Vec2::new(-5.4, 0.0), 0.5);
         rays.meet_box(&KeepOut::rect(Vec2::new(-1.0, -6.0), Vec2::new(1.0, -5.1)));
         near(&rays, [1.5, 4.9, NONE, NONE]);
     }
@@ -286,7 +285,7 @@ mod tests {
     fn from_inside_an_obstacle_every_ray_ends_at_once_and_rails_are_met_from_inside() {
         for inside in [Vec2::new(0.1, 0.0), Vec2::zeros()] {
             let mut rays = four(inside, 0.3);
-            rays.meet_disc(&Disc { centre: Vec2::zeros(), radius_m: 0.5 });
+            meet(&mut rays, Vec2::zeros(), 0.5);
             near(&rays, [0.0; 4]);
             let mut rays = four(inside, 0.3);
             rays.meet_box(&KeepOut::rect(Vec2::new(-1.0, -1.0), Vec2::new(1.0, 1.0)));
@@ -340,16 +339,16 @@ mod tests {
         let mut stream = Seed::of_run(3).stream("rays");
         for _ in 0..20 {
             let mut at = || Vec2::new(stream.random_range(-2.0..2.0), stream.random_range(-2.0..2.0));
-            let (origin, disc, corner) = (at(), Disc { centre: at(), radius_m: 0.3 }, at());
+            let (origin, centre, corner) = (at(), at(), at());
             let block = KeepOut::rect(corner, corner + Vec2::new(0.7, 0.4));
             let mut rays = Rays::new(16, (0.1, TAU / 16.0), 4.0);
             rays.place(origin, 0.0);
-            rays.meet_disc(&disc);
+            meet(&mut rays, centre, 0.3);
             rays.meet_box(&block);
             for (ray, range) in written(&rays).iter().enumerate() {
                 let walked = walked(origin, 0.1 + TAU / 16.0 * ray as f64, |x, y| {
                     let point = Vec2::new(x as f32, y as f32);
-                    (point - disc.centre).norm() <= 0.3 || block.nearest(point) == point
+                    (point - centre).norm() <= 0.3 || block.nearest(point) == point
                 });
                 let both_none = walked > 4.0 && !range.is_finite();
                 assert!(both_none || (walked - f64::from(*range)).abs() < 2e-3, "{walked} and {range}");

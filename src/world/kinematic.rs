@@ -135,7 +135,9 @@ fn move_robot(robot: usize, candidate: Vec2, touches: bool, blocks: bool, team: 
 fn move_with_all_pairs(distance: f32, blocks: bool, team: &mut TeamMotion) {
     for robot in 0..team.position.len() {
         let candidate = team.position[robot] + team.velocity[robot] * DT_S;
-        let touches = any_within(team.position.iter().map(|other| candidate - other), robot, distance);
+        let (before, others) = team.position.split_at(robot);
+        let near = is_near(candidate, before, distance) || is_near(candidate, &others[1..], distance);
+        let touches = near && any_within(team.position.iter().map(|other| candidate - other), robot, distance);
         move_robot(robot, candidate, touches, blocks, team);
     }
 }
@@ -173,6 +175,20 @@ const NO_INDEX: usize = usize::MAX;
 /// Factor by which a search distance is enlarged, so that rounding errors cannot exclude a robot.
 const ROUNDING_MARGIN: f32 = 1.01;
 
+/// Largest square of an offset whose length may be rounded to `distance`.
+#[inline(always)]
+fn near_square(distance: f32) -> f32 {
+    1.001 * distance * distance
+}
+
+/// Whether any of `others` may be within `distance` of a point: all that `any_within` finds, and few more.
+#[inline(always)]
+fn is_near(point: Vec2, others: &[Vec2], distance: f32) -> bool {
+    let square = near_square(distance);
+    // Without a branch, so that the compiler looks at several at once.
+    others.iter().fold(false, |near, other| near | ((point - other).norm_squared() <= square))
+}
+
 /// Whether any offset except the one at index `own` is at most `distance` long. Squares are compared first, because the
 /// square root keeps their order. The root of the shortest is then taken if it may decide, because its rounding is part
 /// of the published arithmetic.
@@ -183,7 +199,7 @@ fn any_within(offsets: impl Iterator<Item = Vec2>, own: usize, distance: f32) ->
         let square = if at == own { f32::INFINITY } else { square };
         if square < least { square } else { least }
     });
-    shortest <= 1.001 * distance * distance && shortest.sqrt() <= distance
+    shortest <= near_square(distance) && shortest.sqrt() <= distance
 }
 
 /// Training world of the paper as a plant (simulated world): discs that follow their commands within a limited

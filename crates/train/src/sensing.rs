@@ -97,11 +97,18 @@ impl Environments {
         match channels {
             Some(_) => to.copy_from_slice(&messages.observation(step, robot, self.stored())[..to.len()]),
             None => {
-                let robot_of_all = self.teams[team].first + robot;
-                let leg = self.courses.leg_in(robot_of_all, step);
-                let own = self.own((team, robot_of_all), &leg, &messages.estimate(step, robot));
-                entry::write(entries, &own, to);
+                let bound = self.bound_in(team, self.teams[team].first + robot, step);
+                let own = Observation::in_frame(bound.0, bound.1, &messages.estimate(step, robot));
+                entry::write(entries, &Observation { dynamics: self.teams[team].episode.dynamics(), ..own }, to);
             }
+        }
+    }
+
+    /// Writes the observations that the robots of a team have in its current step into `to`, `floats` of each.
+    pub fn observations(&self, team: usize, floats: usize, to: &mut [f32]) {
+        let TrainingTeam { step, messages, .. } = &self.teams[team];
+        for (robot, to) in to.chunks_exact_mut(floats).enumerate() {
+            self.observation(team, messages, (*step, robot), to);
         }
     }
 
@@ -116,7 +123,7 @@ impl Environments {
         let remembered = of_critic.memory[robot * each..][..each].to_vec();
         match self.seen(of_critic, (team, robot), &truth, None) {
             None => {
-                entry::write(&of_critic.perception.entries, &self.own((team, robot), &self.tasks[robot], &truth), to)
+                entry::write(&of_critic.perception.entries, &self.own((team, robot), &truth), to)
             }
             Some(observation) => to.copy_from_slice(&observation),
         }
@@ -127,22 +134,20 @@ impl Environments {
     /// Returns the true state of the robot with index `robot` among all robots, without values of channels. Its team
     /// has the index `team`.
     pub(super) fn true_state(&self, team: usize, robot: usize) -> Observation<'static> {
-        self.own((team, robot), &self.tasks[robot], &self.point(robot))
+        self.own((team, robot), &self.point(robot))
     }
 
-    /// Returns the state of a robot with this task and the motion `estimate`, world frame, as the policy observes it,
-    /// without values of channels.
-    fn own(&self, (team, robot): (usize, usize), task: &Task, estimate: &Motion) -> Observation<'static> {
-        let (scenario, of_team) = (self.scenario(team), &self.teams[team]);
-        let frame = scenario.frame(task);
+    /// Returns the state of a robot with the motion `estimate`, world frame, as the policy observes it, without values
+    /// of channels.
+    fn own(&self, (team, robot): (usize, usize), estimate: &Motion) -> Observation<'static> {
+        let (of_team, frame) = (&self.teams[team], self.frame[robot]);
         let yaw_rate = self.rolling.as_ref().map_or(0.0, |rolling| rolling.wheels[robot].yaw_rate());
         Observation {
             dynamics: of_team.episode.dynamics(),
-            frame,
             heading: Some(frame.turn_angle(self.heading(robot))),
             yaw_rate: Some(yaw_rate),
             elapsed: of_team.elapsed(),
-            ..scenario.observe(task, estimate)
+            ..Observation::in_frame(frame, self.tasks[robot].goal, estimate)
         }
     }
 
@@ -168,7 +173,7 @@ impl Environments {
             robot: robot - range.start,
         };
         channels.sense(place, stream);
-        let own = self.own((team, robot), &self.tasks[robot], estimate);
+        let own = self.own((team, robot), estimate);
         let tasks: Vec<Option<Task>> = self.tasks[range].iter().copied().map(Some).collect();
         let values = channels.values(memory, &own, (&self.tasks[robot], &tasks));
         let mut observation = Vec::new();

@@ -33,6 +33,7 @@ pub struct Named {
 
 impl Entry {
     /// Returns the number of floats of the entry; zero for a channel whose shape is none.
+    #[inline]
     pub fn floats(&self) -> usize {
         match self {
             Entry::Field(_) => 2,
@@ -69,6 +70,7 @@ pub fn requests(entries: &[Entry]) -> Vec<Request> {
 
 /// Writes the entries one after the other into `to`, which has their [`floats`]. `own.values` has the values of the
 /// entries' channels, by their [`requests`].
+#[inline]
 pub fn write(entries: &[Entry], own: &Observation, to: &mut [f32]) {
     let (mut values, mut rest) = (own.values, to);
     for entry in entries {

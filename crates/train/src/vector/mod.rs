@@ -15,7 +15,7 @@ pub use state::{StateError, layouts_of, options_of};
 pub(crate) use state::{check_version, same_settings};
 
 use super::conditions::EpisodeConditions;
-use super::environments::{Environments, TrainingTeam};
+use super::environments::Environments;
 use super::message_buffer::{HISTORY_STEPS, HeldMessage};
 use super::parallel::{cut, in_parallel};
 use murmurate::messages::geometry::Vec2;
@@ -307,10 +307,11 @@ impl Chunk {
         one: &mut Buffers,
         mut after: impl FnMut(&mut Chunk),
     ) -> bool {
-        for robot in self.environments.teams[row].range() {
-            let wanted = Vec2::new(actions[2 * robot], actions[2 * robot + 1]);
-            let task = &self.environments.tasks[robot];
-            self.velocities[robot] = self.environments.scenario(row).steer(task, wanted);
+        let range = self.environments.teams[row].range();
+        let wanted = actions[2 * range.start..2 * range.end].as_chunks::<2>().0;
+        let given = wanted.iter().zip(&self.environments.frame[range.clone()]);
+        for (velocity, (wanted, frame)) in self.velocities[range].iter_mut().zip(given) {
+            *velocity = frame.turn(Vec2::from(*wanted));
         }
         // The neutral element of addition, which zero is not: it would take the sign of a negative zero.
         one.reward.fill(-0.0);
@@ -363,11 +364,7 @@ impl Chunk {
         if environments.teams[row].episode.lockstep {
             environments.measure(row, &mut streams[row]);
         }
-        let width = 2 * options.observation.len();
-        for (robot, to) in environments.teams[row].range().zip(to.chunks_exact_mut(width)) {
-            let TrainingTeam { first, step, messages, .. } = &environments.teams[row];
-            environments.observation(row, messages, (*step, robot - first), to);
-        }
+        environments.observations(row, 2 * options.observation.len(), to);
     }
 
     /// Writes the messages that an environment's robots use in their next decision.
