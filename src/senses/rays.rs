@@ -31,8 +31,10 @@ pub struct Rays {
     fan: Vec<[f32; 2]>,
     /// Directions of the rays. The last block repeats the last ray.
     directions: Vec<Directions>,
-    /// Distance along each ray, by block.
+    /// Distance along each ray, by block, once something is `met`.
     ranges: Vec<Block>,
+    /// Whether something is within reach of the rays.
+    met: bool,
     origin: Vec2,
     /// Heading to which the fan was turned last \[rad\].
     heading: Option<f32>,
@@ -56,7 +58,7 @@ impl Rays {
         let fan: Vec<[f32; 2]> = (0..rays).map(angle).map(|(sin, cos)| [cos as f32, sin as f32]).collect();
         let blocks = rays.div_ceil(BLOCK);
         let (directions, ranges) = (vec![Directions::default(); blocks], vec![[f32::INFINITY; BLOCK]; blocks]);
-        Rays { fan, directions, ranges, origin: Vec2::zeros(), heading: None, range_m }
+        Rays { fan, directions, ranges, met: false, origin: Vec2::zeros(), heading: None, range_m }
     }
 
     /// Returns the number of rays.
@@ -67,8 +69,7 @@ impl Rays {
     /// Puts the fan at `origin` \[m\], world frame, turned by `heading` \[rad\], into an empty world.
     #[inline]
     pub fn place(&mut self, origin: Vec2, heading: f32) {
-        self.origin = origin;
-        self.ranges.fill([f32::INFINITY; BLOCK]);
+        (self.origin, self.met) = (origin, false);
         if self.heading.map(f32::to_bits) != Some(heading.to_bits()) {
             self.turn(heading);
         }
@@ -90,6 +91,10 @@ impl Rays {
     /// Shortens each ray to the distance that `met` returns for the rays of a block, where that is shorter.
     #[inline(always)]
     fn shorten(&mut self, met: impl Fn(&Directions) -> Block) {
+        if !self.met {
+            self.met = true;
+            self.ranges.fill([f32::INFINITY; BLOCK]);
+        }
         for (directions, ranges) in self.directions.iter().zip(&mut self.ranges) {
             let met = met(directions);
             // What is not a number is below no range.
@@ -103,17 +108,18 @@ impl Rays {
     pub fn meet_discs(&mut self, centres: impl Iterator<Item = Vec2>, radius_m: f32) {
         let (origin, farthest) = (self.origin, self.range_m + radius_m);
         let farthest_square = farthest * farthest;
-        centres.for_each(|centre| {
+        for centre in centres {
             let to = centre - origin;
             if to.norm_squared() <= farthest_square {
                 self.meet_near_disc(to, radius_m);
             }
-        });
+        }
     }
 
     /// Shortens the rays that meet a disc whose centre is `to` \[m\] from their origin.
     fn meet_near_disc(&mut self, to: Vec2, radius: f32) {
         if to.norm_squared() <= radius * radius {
+            self.met = true;
             self.ranges.fill([0.0; BLOCK]);
             return;
         }
@@ -208,6 +214,10 @@ impl Rays {
     /// no echo.
     #[inline]
     pub fn write(&self, ranges: &mut [f32]) {
+        if self.met { self.write_met(ranges) } else { ranges.fill(f32::INFINITY) }
+    }
+
+    fn write_met(&self, ranges: &mut [f32]) {
         let seen = |range: f32| if range <= self.range_m { range } else { f32::INFINITY };
         let (blocks, rest) = ranges.as_chunks_mut::<BLOCK>();
         for (block, met) in blocks.iter_mut().zip(&self.ranges) {

@@ -122,9 +122,7 @@ impl Environments {
         // What channels remember does not change by it.
         let remembered = of_critic.memory[robot * each..][..each].to_vec();
         match self.seen(of_critic, (team, robot), &truth, None) {
-            None => {
-                entry::write(&of_critic.perception.entries, &self.own((team, robot), &truth), to)
-            }
+            None => entry::write(&of_critic.perception.entries, &self.own((team, robot), &truth), to),
             Some(observation) => to.copy_from_slice(&observation),
         }
         of_critic.memory[robot * each..][..each].copy_from_slice(&remembered);

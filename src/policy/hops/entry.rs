@@ -74,16 +74,19 @@ pub fn requests(entries: &[Entry]) -> Vec<Request> {
 pub fn write(entries: &[Entry], own: &Observation, to: &mut [f32]) {
     let (mut values, mut rest) = (own.values, to);
     for entry in entries {
-        let (to, after) = rest.split_at_mut(entry.floats());
         match entry {
-            Entry::Field(field) => to.copy_from_slice(&field.of(own).to_array()),
+            Entry::Field(field) => {
+                let (to, after) = rest.split_first_chunk_mut().expect("there is room for each entry");
+                *to = field.of(own).to_array();
+                rest = after;
+            }
             Entry::Channel(_) => {
+                let (to, after) = rest.split_at_mut(entry.floats());
                 let (now, later) = values.split_at(to.len());
                 to.copy_from_slice(now);
-                values = later;
+                (values, rest) = (later, after);
             }
         }
-        rest = after;
     }
 }
 

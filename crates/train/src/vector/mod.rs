@@ -85,6 +85,29 @@ impl Lengths {
 }
 
 impl<'a> Buffers<'a> {
+    /// Returns the parts of the environment with index `row`.
+    #[inline]
+    fn row(&mut self, row: usize, lengths: Lengths) -> Buffers<'_> {
+        fn part<T>(all: &mut [T], row: usize, length: usize) -> &mut [T] {
+            &mut all[row * length..][..length]
+        }
+        let Lengths { robots, observation, message, rays } = lengths;
+        let edges = lengths.edges();
+        Buffers {
+            observation: part(self.observation, row, robots * observation),
+            last_observation: part(self.last_observation, row, robots * observation),
+            reward: part(self.reward, row, robots),
+            terminated: part(self.terminated, row, 1),
+            truncated: part(self.truncated, row, 1),
+            arrived: part(self.arrived, row, robots),
+            heard: part(self.heard, row, edges),
+            age_s: part(self.age_s, row, edges),
+            message: part(self.message, row, edges * message),
+            scan: part(self.scan, row, robots * rays),
+            last_scan: part(self.last_scan, row, robots * rays),
+        }
+    }
+
     /// Splits off the parts of the first `environments`.
     fn take(&mut self, environments: usize, lengths: Lengths) -> Buffers<'a> {
         let Lengths { robots, observation, message, rays } = lengths;
@@ -248,8 +271,8 @@ impl VectorEnvironment {
         let mut environment = 0;
         for chunk in chunks {
             for row in 0..chunk.streams.len() {
-                let mut one = buffers.take(1, *lengths);
                 if mask(environment) {
+                    let mut one = buffers.row(environment, *lengths);
                     chunk.observe(options, row, one.observation);
                     one.last_observation.copy_from_slice(one.observation);
                     chunk.scan(row, one.scan);
@@ -258,7 +281,9 @@ impl VectorEnvironment {
                     one.terminated.fill(false);
                     one.truncated.fill(false);
                     one.arrived.fill(false);
-                    chunk.receive(options, *lengths, row, &mut one);
+                    if chunk.hears(options, row) {
+                        chunk.receive(options, *lengths, row, &mut one);
+                    }
                 }
                 environment += 1;
             }
@@ -291,11 +316,12 @@ impl Chunk {
     }
 
     fn step(&mut self, (options, lengths): (&Options, Lengths), given: (&[f32], &[f32]), mut buffers: Buffers) {
-        for row in 0..self.streams.len() {
-            let mut one = buffers.take(1, lengths);
-            let ended = self.hold((options, lengths), (row, given), &mut one, |_| {});
-            self.go_on((options, lengths), (row, ended && options.autoreset == Autoreset::SameStep), &mut one);
+        let mut begins = [false; CHUNK];
+        for (row, begins) in begins[..self.streams.len()].iter_mut().enumerate() {
+            let ended = self.hold((options, lengths), (row, given), &mut buffers.row(row, lengths), |_| {});
+            *begins = ended && options.autoreset == Autoreset::SameStep;
         }
+        self.go_on((options, lengths), &begins, buffers);
     }
 
     /// Advances an environment by the steps for which its action is held, and fills its parts of the buffers but for
@@ -317,7 +343,7 @@ impl Chunk {
         one.reward.fill(-0.0);
         let mut ended = false;
         for held in 0..options.repeat {
-            if held > 0 {
+            if held > 0 && self.hears(options, row) {
                 // What arrives while an action is held is drawn as if it had been given anew.
                 self.receive(options, lengths, row, one);
             }
@@ -367,14 +393,16 @@ impl Chunk {
         environments.observations(row, 2 * options.observation.len(), to);
     }
 
+    /// Whether messages of an environment's robots matter. Safety filters know of other robots what messages say, whether
+    /// or not there is a buffer for them.
+    fn hears(&self, options: &Options, row: usize) -> bool {
+        options.content != Content::Nothing || self.environments.teams[row].episode.filtered
+    }
+
     /// Writes the messages that an environment's robots use in their next decision.
     fn receive(&mut self, options: &Options, lengths: Lengths, row: usize, to: &mut Buffers) {
         let Chunk { environments, streams, outputs, .. } = self;
-        // Safety filters know of other robots what messages say, whether or not there is a buffer for them.
         let silent = options.content == Content::Nothing;
-        if silent && !environments.teams[row].episode.filtered {
-            return;
-        }
         to.heard.fill(false);
         to.age_s.fill(0.0);
         to.message.fill(0.0);

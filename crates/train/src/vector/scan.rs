@@ -13,7 +13,7 @@ impl Chunk {
         for ((robot, centre), to) in team.iter().enumerate().zip(to.chunks_exact_mut(scanner.rays())) {
             let heading = environments.heading(first + robot);
             let ahead = if sweep.around { environments.frame[first + robot].turn_angle(0.0) } else { heading };
-            let others = team[..robot].iter().chain(&team[robot + 1..]).copied();
+            let others = team.iter().enumerate().filter(|(other, _)| *other != robot).map(|(_, other)| *other);
             scanner.scan(&arena, (*centre, heading, ahead), others, to);
             scanner.disturb(&mut streams[row], to);
         }
