@@ -218,6 +218,7 @@ impl Environments {
     }
 
     /// Returns the arena of the current episode of the team with index `team`.
+    #[inline]
     pub fn arena(&self, team: usize) -> &Arena {
         self.arenas[team].as_ref().unwrap_or_else(|| self.scenario(team).arena())
     }

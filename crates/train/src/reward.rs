@@ -54,6 +54,7 @@ impl TeamStep<'_> {
     /// Writes the reward of each robot in the arena of its episode, with these `weights`. Returns their mean.
     pub fn score(mut self, weights: &Reward, arena: &Arena) -> f32 {
         let robots = self.reward.len();
+        self.cut(robots);
         let means = TeamMeans::of(weights, self.points, self.velocity);
         if weights.proximity > 0.0 {
             nearness(weights.proximity_m, self.position, self.near);
@@ -77,6 +78,15 @@ impl TeamStep<'_> {
             *reward += weights.shared * (mean - *reward) - waiting;
         }
         mean - waiting
+    }
+
+    /// Cuts all lists to one length, so that what follows looks nowhere for the end of one of them.
+    #[inline(always)]
+    fn cut(&mut self, robots: usize) {
+        (self.tasks, self.position) = (&self.tasks[..robots], &self.position[..robots]);
+        (self.points, self.velocity) = (&self.points[..robots], &self.velocity[..robots]);
+        (self.contacts, self.reached) = (&self.contacts[..robots], &self.reached[..robots]);
+        (self.scenario_reward, self.left_m) = (&self.scenario_reward[..robots], &self.left_m[..robots]);
     }
 
     /// Returns the reward of a robot without the terms that depend on other robots' positions or rewards, and notes its

@@ -9,7 +9,7 @@ use std::borrow::Cow;
 use super::channels::{Channels, Observing, Perception, Place};
 use super::environments::{Environments, TrainingTeam};
 use super::message_buffer::MessageBuffer;
-use murmurate::messages::geometry::{Motion, Task};
+use murmurate::messages::geometry::{Motion, Planar, Task};
 use murmurate::observation::Observation;
 use murmurate::policy::hops::entry::{self, Entry};
 use murmurate::random::Stream;
@@ -106,9 +106,21 @@ impl Environments {
 
     /// Writes the observations that the robots of a team have in its current step into `to`, `floats` of each.
     pub fn observations(&self, team: usize, floats: usize, to: &mut [f32]) {
-        let TrainingTeam { step, messages, .. } = &self.teams[team];
-        for (robot, to) in to.chunks_exact_mut(floats).enumerate() {
-            self.observation(team, messages, (*step, robot), to);
+        let TrainingTeam { step, messages, episode, .. } = &self.teams[team];
+        let Perception { entries, channels } = &self.observing[0].perception;
+        if channels.is_some() || !self.role_of.is_empty() {
+            for (robot, to) in to.chunks_exact_mut(floats).enumerate() {
+                self.observation(team, messages, (*step, robot), to);
+            }
+            return;
+        }
+        let (range, dynamics) = (self.teams[team].range(), episode.dynamics());
+        let seen = messages.estimates(*step).zip(self.frame[range.clone()].iter().zip(&self.tasks[range]));
+        for ((estimate, (frame, task)), to) in seen.zip(to.chunks_exact_mut(floats)) {
+            let own = Observation { dynamics, ..Observation::in_frame(*frame, task.goal, &estimate) };
+            for (to, field) in to.as_chunks_mut().0.iter_mut().zip(entries.iter().filter_map(Entry::field)) {
+                *to = field.of(&own).to_array();
+            }
         }
     }
 

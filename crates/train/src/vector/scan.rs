@@ -9,12 +9,12 @@ impl Chunk {
     pub(super) fn scan(&mut self, row: usize, to: &mut [f32]) {
         let Chunk { environments, streams, scanner: Some(scanner), .. } = self else { return };
         let (first, team) = (environments.teams[row].first, &environments.position[environments.teams[row].range()]);
-        let (arena, sweep) = (environments.arena_now(row), *scanner.sweep());
+        let (arena, sweep) = (&*environments.arena_now(row), *scanner.sweep());
         for ((robot, centre), to) in team.iter().enumerate().zip(to.chunks_exact_mut(scanner.rays())) {
             let heading = environments.heading(first + robot);
             let ahead = if sweep.around { environments.frame[first + robot].turn_angle(0.0) } else { heading };
             let others = team.iter().enumerate().filter(|(other, _)| *other != robot).map(|(_, other)| *other);
-            scanner.scan(&arena, (*centre, heading, ahead), others, to);
+            scanner.scan(arena, (*centre, heading, ahead), others, to);
             scanner.disturb(&mut streams[row], to);
         }
         to.iter_mut().for_each(|distance| *distance = distance.min(sweep.range_m));
