@@ -1,10 +1,8 @@
 //! Rays of a range finder in the plane: how far each goes until it meets a disc, a box, or the rails about the ground.
 //!
-//! Each obstacle within reach is intersected with all rays, a block of them at a time, without branches and in 32-bit
-//! floats, so the compiler computes the rays of a block at once. A box is met by the slab method (Kay and Kajiya, 1986),
-//! a disc where the ray's line passes its centre closer than its radius. No call allocates.
-
-use std::array::from_fn;
+//! Each obstacle within reach is intersected with all rays in one loop without branches, in 32-bit floats, so the
+//! compiler computes several rays at once. A box is met by the slab method (Kay and Kajiya, 1986), a disc where the
+//! ray's line passes its centre closer than its radius. No call allocates.
 
 use crate::messages::geometry::Vec2;
 use crate::scenario::KeepOut;
@@ -15,24 +13,25 @@ pub const MAX_RAYS: usize = 256;
 /// Component of a direction that stands for zero, so that its inverse is finite.
 const ALMOST_ZERO: f32 = 1e-12;
 
-/// Number of rays in a block: floats of a vector register that every machine has.
-const BLOCK: usize = 4;
+/// Number of which the number of rays that are computed is a multiple, so that no ray of a loop is left over.
+const LANES: usize = 8;
 
 /// Share of a distance that a ray along it has at least, for all rounding of its direction.
 const ROUNDING: f32 = 0.999;
-
-/// One number of each ray of a block.
-type Block = [f32; BLOCK];
 
 /// Fan of rays from one point, at fixed angles to each other, and the distances along them until they meet something.
 #[derive(Clone, Debug)]
 pub struct Rays {
     /// Cosine and sine of each ray's angle in the frame of the fan.
     fan: Vec<[f32; 2]>,
-    /// Directions of the rays. The last block repeats the last ray.
-    directions: Vec<Directions>,
-    /// Distance along each ray, by block, once something is `met`.
-    ranges: Vec<Block>,
+    /// Components of each ray's direction in the world frame, and their inverses. The last ray is there several times,
+    /// up to a multiple of `LANES`.
+    x: Vec<f32>,
+    y: Vec<f32>,
+    per_x: Vec<f32>,
+    per_y: Vec<f32>,
+    /// Distance along each of these rays, once something is `met`.
+    ranges: Vec<f32>,
     /// Whether something is within reach of the rays.
     met: bool,
     origin: Vec2,
@@ -41,24 +40,14 @@ pub struct Rays {
     range_m: f32,
 }
 
-/// Components of the directions of the rays of a block in the world frame, and their inverses.
-#[derive(Clone, Copy, Debug, Default)]
-struct Directions {
-    x: Block,
-    y: Block,
-    per_x: Block,
-    per_y: Block,
-}
-
 impl Rays {
     /// Makes `rays` rays, at least one; the first is at the angle `from_rad` and each next one `step_rad` further,
     /// counter-clockwise \[rad\]. They see as far as `range_m` \[m\].
     pub fn new(rays: usize, (from_rad, step_rad): (f64, f64), range_m: f32) -> Rays {
         let angle = |ray: usize| libm::sincos(from_rad + step_rad * ray as f64);
         let fan: Vec<[f32; 2]> = (0..rays).map(angle).map(|(sin, cos)| [cos as f32, sin as f32]).collect();
-        let blocks = rays.div_ceil(BLOCK);
-        let (directions, ranges) = (vec![Directions::default(); blocks], vec![[f32::INFINITY; BLOCK]; blocks]);
-        Rays { fan, directions, ranges, met: false, origin: Vec2::zeros(), heading: None, range_m }
+        let [x, y, per_x, per_y, ranges] = [(); 5].map(|()| vec![0.0; rays.next_multiple_of(LANES)]);
+        Rays { fan, x, y, per_x, per_y, ranges, met: false, origin: Vec2::zeros(), heading: None, range_m }
     }
 
     /// Returns the number of rays.
@@ -80,25 +69,26 @@ impl Rays {
         let (sin, cos) = libm::sincosf(heading);
         let away_from_zero = |d: f32| if d.abs() < ALMOST_ZERO { ALMOST_ZERO } else { d };
         let last = self.fan.len() - 1;
-        for (at, directions) in self.directions.iter_mut().enumerate() {
-            let fan: [[f32; 2]; BLOCK] = from_fn(|ray| self.fan[last.min(at * BLOCK + ray)]);
-            let (x, y) = (fan.map(|[c, s]| cos * c - sin * s), fan.map(|[c, s]| sin * c + cos * s));
-            let inverse = |d: f32| 1.0 / away_from_zero(d);
-            *directions = Directions { x, y, per_x: x.map(inverse), per_y: y.map(inverse) };
+        let directions = self.x.iter_mut().zip(&mut self.y).zip(self.per_x.iter_mut().zip(&mut self.per_y));
+        for (ray, ((x, y), (per_x, per_y))) in directions.enumerate() {
+            let [c, s] = self.fan[ray.min(last)];
+            (*x, *y) = (cos * c - sin * s, sin * c + cos * s);
+            (*per_x, *per_y) = (1.0 / away_from_zero(*x), 1.0 / away_from_zero(*y));
         }
     }
 
-    /// Shortens each ray to the distance that `met` returns for the rays of a block, where that is shorter.
+    /// Shortens each ray to the distance that `met` returns for its direction and the inverses of that, where it is
+    /// shorter.
     #[inline(always)]
-    fn shorten(&mut self, met: impl Fn(&Directions) -> Block) {
+    fn shorten(&mut self, met: impl Fn([f32; 2], [f32; 2]) -> f32) {
         if !self.met {
             self.met = true;
-            self.ranges.fill([f32::INFINITY; BLOCK]);
+            self.ranges.fill(f32::INFINITY);
         }
-        for (directions, ranges) in self.directions.iter().zip(&mut self.ranges) {
-            let met = met(directions);
+        let directions = self.x.iter().zip(&self.y).zip(self.per_x.iter().zip(&self.per_y));
+        for (((x, y), (per_x, per_y)), range) in directions.zip(&mut self.ranges) {
             // What is not a number is below no range.
-            *ranges = from_fn(|ray| smaller(met[ray], ranges[ray]));
+            *range = smaller(met([*x, *y], [*per_x, *per_y]), *range);
         }
     }
 
@@ -120,19 +110,17 @@ impl Rays {
     fn meet_near_disc(&mut self, to: Vec2, radius: f32) {
         if to.norm_squared() <= radius * radius {
             self.met = true;
-            self.ranges.fill([0.0; BLOCK]);
+            self.ranges.fill(0.0);
             return;
         }
-        self.shorten(|Directions { x, y, .. }| {
-            from_fn(|ray| {
-                let along = to.x * x[ray] + to.y * y[ray];
-                let beside = to.x * y[ray] - to.y * x[ray];
-                // The difference of squares as a product, which keeps the digits of a ray that passes near the edge.
-                let half_chord = (radius - beside) * (radius + beside);
-                // The root of a negative number is not a number.
-                let met = along - half_chord.sqrt();
-                if along > 0.0 { met } else { f32::INFINITY }
-            })
+        self.shorten(|[x, y], _| {
+            let along = to.x * x + to.y * y;
+            let beside = to.x * y - to.y * x;
+            // The difference of squares as a product, which keeps the digits of a ray that passes near the edge.
+            let half_chord = (radius - beside) * (radius + beside);
+            // The root of a negative number is not a number.
+            let met = along - half_chord.sqrt();
+            if along > 0.0 { met } else { f32::INFINITY }
         });
     }
 
@@ -143,15 +131,13 @@ impl Rays {
             return;
         }
         let (low, high) = (block.min - self.origin, block.max - self.origin);
-        self.shorten(|Directions { per_x, per_y, .. }| {
-            from_fn(|ray| {
-                let (x0, x1) = (low.x * per_x[ray], high.x * per_x[ray]);
-                let (y0, y1) = (low.y * per_y[ray], high.y * per_y[ray]);
-                let enters = larger(smaller(x0, x1), smaller(y0, y1));
-                let leaves = smaller(larger(x0, x1), larger(y0, y1));
-                let met = larger(enters, 0.0);
-                if met <= leaves { met } else { f32::INFINITY }
-            })
+        self.shorten(|_, [per_x, per_y]| {
+            let (x0, x1) = (low.x * per_x, high.x * per_x);
+            let (y0, y1) = (low.y * per_y, high.y * per_y);
+            let enters = larger(smaller(x0, x1), smaller(y0, y1));
+            let leaves = smaller(larger(x0, x1), larger(y0, y1));
+            let met = larger(enters, 0.0);
+            if met <= leaves { met } else { f32::INFINITY }
         });
     }
 
@@ -169,22 +155,20 @@ impl Rays {
     /// Shortens the rays that meet a convex polygon (Cyrus and Beck, 1978).
     fn meet_polygon(&mut self, block: &KeepOut) {
         let origin = self.origin;
-        self.shorten(|Directions { x, y, .. }| {
-            from_fn(|ray| {
-                let (mut enters, mut leaves) = (0.0, f32::INFINITY);
-                for [from, to] in block.sides() {
-                    let outward = Vec2::new(to.y - from.y, from.x - to.x);
-                    let along = outward.x * x[ray] + outward.y * y[ray];
-                    let meets = |along: f32| outward.dot(&(from - origin)) / along;
-                    if along >= ALMOST_ZERO {
-                        leaves = smaller(leaves, meets(along));
-                    } else {
-                        // A ray beside the side enters never, or long ago.
-                        enters = larger(enters, meets(smaller(along, -ALMOST_ZERO)));
-                    }
+        self.shorten(|[x, y], _| {
+            let (mut enters, mut leaves) = (0.0, f32::INFINITY);
+            for [from, to] in block.sides() {
+                let outward = Vec2::new(to.y - from.y, from.x - to.x);
+                let along = outward.x * x + outward.y * y;
+                let meets = |along: f32| outward.dot(&(from - origin)) / along;
+                if along >= ALMOST_ZERO {
+                    leaves = smaller(leaves, meets(along));
+                } else {
+                    // A ray beside the side enters never, or long ago.
+                    enters = larger(enters, meets(smaller(along, -ALMOST_ZERO)));
                 }
-                if enters <= leaves { enters } else { f32::INFINITY }
-            })
+            }
+            if enters <= leaves { enters } else { f32::INFINITY }
         });
     }
 
@@ -201,12 +185,10 @@ impl Rays {
 
     /// Shortens the rays to rails, of which `low` and `high` are two opposite corners as seen from their origin \[m\].
     fn meet_near_rails(&mut self, low: Vec2, high: Vec2) {
-        self.shorten(|Directions { per_x, per_y, .. }| {
-            from_fn(|ray| {
-                let along_x = larger(low.x * per_x[ray], high.x * per_x[ray]);
-                let along_y = larger(low.y * per_y[ray], high.y * per_y[ray]);
-                smaller(along_x, along_y)
-            })
+        self.shorten(|_, [per_x, per_y]| {
+            let along_x = larger(low.x * per_x, high.x * per_x);
+            let along_y = larger(low.y * per_y, high.y * per_y);
+            smaller(along_x, along_y)
         });
     }
 
@@ -218,13 +200,9 @@ impl Rays {
     }
 
     fn write_met(&self, ranges: &mut [f32]) {
-        let seen = |range: f32| if range <= self.range_m { range } else { f32::INFINITY };
-        let (blocks, rest) = ranges.as_chunks_mut::<BLOCK>();
-        for (block, met) in blocks.iter_mut().zip(&self.ranges) {
-            *block = met.map(seen);
+        for (range, met) in ranges.iter_mut().zip(&self.ranges) {
+            *range = if *met <= self.range_m { *met } else { f32::INFINITY };
         }
-        let last = self.ranges.last().map(|met| met.map(seen)).unwrap_or_default();
-        rest.copy_from_slice(&last[..rest.len()]);
     }
 }
 
@@ -310,6 +288,25 @@ mod tests {
     }
 
     #[test]
+    fn a_fan_that_was_elsewhere_sees_what_a_new_one_sees() {
+        let mut stream = Seed::of_run(4).stream("rays");
+        let (mut used, mut near) = (Rays::new(13, (0.1, TAU / 13.0), 1.5), 0);
+        for step in 0..200 {
+            let mut at = || Vec2::new(stream.random_range(-3.0..3.0), stream.random_range(-3.0..3.0));
+            let (origin, centres, heading) = (at(), [at(), at()], if step % 3 > 0 { 0.7 } else { -0.0 });
+            let [seen, expected] = [&mut used, &mut Rays::new(13, (0.1, TAU / 13.0), 1.5)].map(|rays| {
+                rays.place(origin, heading);
+                rays.meet_discs(centres.into_iter(), 0.3);
+                rays.meet_rails(Vec2::new(3.1, 4.0));
+                written(rays)
+            });
+            assert_eq!(seen, expected, "step {step}");
+            near += usize::from(seen.iter().any(|range| range.is_finite()));
+        }
+        assert!((100..200).contains(&near), "some see something and some nothing: {near}");
+    }
+
+    #[test]
     fn a_ray_along_the_face_of_a_box_is_no_error() {
         let mut rays = four(Vec2::new(0.0, 1.0), 0.0);
         rays.meet_box(&KeepOut::rect(Vec2::new(1.0, 0.0), Vec2::new(2.0, 1.0)));
@@ -334,8 +331,7 @@ mod tests {
             rays.place(origin, 0.4);
             blocks.iter().for_each(|block| rays.meet_block(block));
             for (ray, range) in written(&rays).iter().enumerate() {
-                let Directions { x, y, .. } = rays.directions[ray / BLOCK];
-                let at = |step: u32| origin + Vec2::new(x[ray % BLOCK], y[ray % BLOCK]) * (step as f32 * 1e-3);
+                let at = |step: u32| origin + Vec2::new(rays.x[ray], rays.y[ray]) * (step as f32 * 1e-3);
                 let solid = |step: &u32| blocks.iter().any(|block| block.distance(at(*step)) == 0.0);
                 let walked = (0..3000).find(solid).map_or(f32::INFINITY, |step| step as f32 * 1e-3);
                 let same = (walked - range).abs() < 3e-3 || walked == *range;

@@ -265,6 +265,15 @@ mod tests {
     }
 
     #[test]
+    fn robots_are_near_to_each_other_by_what_distances_lack() {
+        let positions = [Vec2::zeros(), Vec2::new(0.25, 0.0), Vec2::new(5.0, 0.0), Vec2::new(0.0, 0.125)];
+        let mut near = [f32::NAN; 4];
+        nearness(0.5, &positions, &mut near);
+        let apart = 1.0 - (positions[3] - positions[1]).norm() / 0.5;
+        assert_eq!(near, [0.5 + 0.75, 0.5 + apart, 0.0, 0.75 + apart]);
+    }
+
+    #[test]
     fn a_team_pays_until_its_last_robot_has_arrived() {
         let reward = Config::preset("robust").expect("it is a preset").reward;
         let weights = Reward { scale: 0.1, team_time: 2.0, ..reward };
