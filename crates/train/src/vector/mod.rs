@@ -222,7 +222,7 @@ impl Chunk {
             let ended = self.hold((options, lengths), (row, given), &mut buffers.row(row, lengths), |_| {});
             *begins = ended && options.autoreset == Autoreset::SameStep;
         }
-        self.go_on((options, lengths), &begins, buffers);
+        self.go_on((options, lengths), &begins[..self.streams.len()], buffers);
     }
 
     /// Advances an environment by the steps for which its action is held, and fills its parts of the buffers but for

@@ -101,8 +101,8 @@ impl Chunk {
     pub(super) fn go_on(&mut self, (options, lengths): (&Options, Lengths), begins: &[bool], mut buffers: Buffers) {
         buffers.observation.copy_from_slice(buffers.last_observation);
         buffers.scan.copy_from_slice(buffers.last_scan);
-        for row in 0..self.streams.len() {
-            if begins[row] {
+        for (row, begins) in begins.iter().enumerate() {
+            if *begins {
                 let one = buffers.row(row, lengths);
                 self.start(options, row);
                 self.observe(options, row, one.observation);
