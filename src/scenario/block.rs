@@ -196,8 +196,8 @@ impl KeepOut {
         in_bounds && self.outline.as_ref().is_none_or(|outline| outline.blocks(from, to, margin_m))
     }
 
-    /// Returns whether the line may intersect the block enlarged by `margin_m` \[m\], by the block's bounds alone: if not,
-    /// `blocks` is false with every margin up to that.
+    /// Returns whether the line may intersect the block enlarged by `margin_m` \[m\], by the block's bounds alone: if
+    /// not, `blocks` is false with every margin up to that.
     pub(crate) fn may_block(&self, from: Vec2, to: Vec2, margin_m: f32) -> bool {
         meets_box([self.min, self.max], from, to, margin_m)
     }
