@@ -92,8 +92,8 @@ impl Rays {
         }
     }
 
-    /// Shortens the rays that meet discs in front of their origin; to zero if the origin is inside. The discs have these
-    /// centres \[m\], world frame, and one radius.
+    /// Shortens the rays that meet discs in front of their origin; to zero if the origin is inside. The discs have
+    /// these centres \[m\], world frame, and one radius.
     #[inline]
     pub fn meet_discs(&mut self, centres: impl Iterator<Item = Vec2>, radius_m: f32) {
         let (origin, farthest) = (self.origin, self.range_m + radius_m);
@@ -192,8 +192,8 @@ impl Rays {
         });
     }
 
-    /// Writes the distance along each ray \[m\] into `ranges`, which has one entry for each; infinite beyond the range, as
-    /// no echo.
+    /// Writes the distance along each ray \[m\] into `ranges`, which has one entry for each; infinite beyond the
+    /// range, as no echo.
     #[inline]
     pub fn write(&self, ranges: &mut [f32]) {
         if self.met { self.write_met(ranges) } else { ranges.fill(f32::INFINITY) }

@@ -40,8 +40,8 @@ impl Environments {
         }
     }
 
-    /// Returns the policy frame that a robot had in `step` of its episode, and the goal \[m\], world frame, for which it
-    /// was bound.
+    /// Returns the policy frame that a robot had in `step` of its episode, and the goal \[m\], world frame, for which
+    /// it was bound.
     pub(super) fn bound_in(&self, team: usize, robot: usize, step: u32) -> (PolicyFrame, Vec2) {
         if !self.courses.has_legs() {
             return (self.frame[robot], self.tasks[robot].goal);

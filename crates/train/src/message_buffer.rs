@@ -97,8 +97,8 @@ impl MessageBuffer {
         }
     }
 
-    /// Returns the estimates of their own motions, world frame, that the robots of the team had in `step`, which must be
-    /// among the stored steps.
+    /// Returns the estimates of their own motions, world frame, that the robots of the team had in `step`, which must
+    /// be among the stored steps.
     pub fn estimates(&self, step: u32) -> impl Iterator<Item = Motion> + '_ {
         self.estimates[self.row(step)].iter().map(motion)
     }

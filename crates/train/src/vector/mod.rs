@@ -294,8 +294,8 @@ impl Chunk {
         environments.observations(row, 2 * options.observation.len(), to);
     }
 
-    /// Whether messages of an environment's robots matter. Safety filters know of other robots what messages say, whether
-    /// or not there is a buffer for them.
+    /// Whether messages of an environment's robots matter. Safety filters know of other robots what messages say,
+    /// whether or not there is a buffer for them.
     fn hears(&self, options: &Options, row: usize) -> bool {
         options.content != Content::Nothing || self.environments.teams[row].episode.filtered
     }
