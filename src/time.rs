@@ -32,6 +32,7 @@ impl Time {
     }
 
     /// Returns this instant as seconds since the start of the run \[s\].
+    #[inline]
     pub fn as_secs(self) -> f64 {
         self.0 as f64 * 1e-9
     }
@@ -80,6 +81,7 @@ impl Span {
     }
 
     /// Returns the duration in seconds \[s\].
+    #[inline]
     pub fn as_secs(self) -> f64 {
         self.0 as f64 * 1e-9
     }

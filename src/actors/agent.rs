@@ -334,7 +334,7 @@ impl Agent {
             round,
             phase,
             due,
-            velocity: velocity.map(|velocity| self.scenario.steer(&task, velocity)),
+            velocity: velocity.map(|velocity| self.scenario.frame(&task).turn(velocity)),
             estimate: own,
             others,
             progress: if there && settled { Progress::Reached } else { Progress::Underway },

@@ -16,6 +16,7 @@ pub enum PolicyFrame {
 
 impl PolicyFrame {
     /// Transforms a point \[m\] or a velocity \[m/s\] from the world frame to the policy frame, or back.
+    #[inline]
     pub fn turn(self, v: Vec2) -> Vec2 {
         match self {
             PolicyFrame::World => v,
@@ -25,6 +26,7 @@ impl PolicyFrame {
 
     /// Transforms an angle \[rad\] from -pi to pi, counter-clockwise from the x axis, from the world frame to the
     /// policy frame, or back. The result is from -pi to pi.
+    #[inline]
     pub fn turn_angle(self, angle: f32) -> f32 {
         use std::f32::consts::PI;
         match self {
@@ -34,6 +36,7 @@ impl PolicyFrame {
     }
 
     /// Transforms position and velocity of a robot from the world frame to the policy frame, or back.
+    #[inline]
     pub fn turn_motion(self, motion: &Motion) -> Motion {
         Motion { position: self.turn(motion.position), velocity: self.turn(motion.velocity) }
     }

@@ -50,6 +50,7 @@ pub struct Observation<'a> {
 impl Observation<'_> {
     /// Returns the observation of a robot without safety filter and without lag, at the start of an episode. Nothing
     /// else is known of it.
+    #[inline]
     pub fn new(motion: Motion, goal: Vec2) -> Observation<'static> {
         Observation {
             motion,
@@ -61,6 +62,13 @@ impl Observation<'_> {
             elapsed: Span::ZERO,
             values: &[],
         }
+    }
+
+    /// Returns the observation of a robot with this policy frame and this goal \[m\], whose estimated state is
+    /// `estimate`; goal and estimate are in the world frame.
+    #[inline]
+    pub fn in_frame(frame: PolicyFrame, goal: Vec2, estimate: &Motion) -> Observation<'static> {
+        Observation { frame, ..Observation::new(frame.turn_motion(estimate), frame.turn(goal)) }
     }
 
     /// Transforms a direction from the policy frame into `frame`. It is NaN in the robot's own frame if the heading is

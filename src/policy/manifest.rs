@@ -62,6 +62,7 @@ pub enum Field {
 impl Field {
     /// Returns the value of this entry for a robot's `observation`: \[m\] or \[m/s\], policy frame, but for
     /// `FilterAndLag`.
+    #[inline]
     pub fn of(self, observation: &Observation) -> Vec2 {
         match self {
             Field::GoalMinusPosition => observation.goal - observation.motion.position,

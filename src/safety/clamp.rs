@@ -36,6 +36,7 @@ impl Clamp {
 
     /// Returns the velocity to command \[m/s\]. `wanted` is the policy's output \[m/s\] and `measured` the robot's
     /// measured velocity \[m/s\], in the same frame. `limit_m_s` is the largest speed along each axis \[m/s\].
+    #[inline]
     pub fn limit(self, wanted: Vec2, measured: Vec2, limit_m_s: f32) -> Vec2 {
         let within = |velocity: Vec2| velocity.map(|axis| axis.clamp(-limit_m_s, limit_m_s));
         match self {

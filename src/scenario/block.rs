@@ -196,6 +196,12 @@ impl KeepOut {
         in_bounds && self.outline.as_ref().is_none_or(|outline| outline.blocks(from, to, margin_m))
     }
 
+    /// Returns whether the line may intersect the block enlarged by `margin_m` \[m\], by the block's bounds alone: if
+    /// not, `blocks` is false with every margin up to that.
+    pub(crate) fn may_block(&self, from: Vec2, to: Vec2, margin_m: f32) -> bool {
+        meets_box([self.min, self.max], from, to, margin_m)
+    }
+
     /// Returns the places \[m\] at which the shortest paths turn that keep `margin_m` \[m\] from the block.
     pub(crate) fn turns(&self, margin_m: f32) -> Vec<Vec2> {
         match &self.outline {

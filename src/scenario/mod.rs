@@ -39,7 +39,7 @@ pub use weights::Weights;
 
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
-use crate::observation::{Channel, Observation, PolicyFrame};
+use crate::observation::{Channel, PolicyFrame};
 use crate::time::Span;
 
 /// Stage of a robot's progress in an episode, as a number that only the reward uses. It is zero at the start of an
@@ -143,27 +143,13 @@ pub trait Scenario: Debug + Send + Sync {
     }
 
     /// Returns the policy frame of a robot with start and goal `task`: the world frame, or that frame rotated by half a
-    /// turn. In this frame the robot's policy observes and commands.
+    /// turn. In this frame the robot's policy observes (`Observation::in_frame`) and commands.
     fn frame(&self, task: &Task) -> PolicyFrame;
 
     /// Returns the channels that the scenario adds to the observation, besides the built-in ones. A policy takes them
     /// by their names. The default is none.
     fn channels(&self) -> Vec<Channel> {
         Vec::new()
-    }
-
-    /// Returns the policy's observation for a robot with start and goal `task`, whose estimated state is `estimate` in
-    /// the world frame. The default implementation transforms the estimate and the goal to the policy frame. The caller
-    /// sets all fields but `motion` and `goal`.
-    fn observe(&self, task: &Task, estimate: &Motion) -> Observation<'static> {
-        let frame = self.frame(task);
-        Observation { frame, ..Observation::new(frame.turn_motion(estimate), frame.turn(task.goal)) }
-    }
-
-    /// Transforms a policy's output `velocity` \[m/s\] from the policy frame to the world frame, for a robot with start
-    /// and goal `task`.
-    fn steer(&self, task: &Task, velocity: Vec2) -> Vec2 {
-        self.frame(task).turn(velocity)
     }
 
     /// Returns true if a robot with start and goal `task` has arrived when it is at `position` \[m\], world frame. In

@@ -14,7 +14,7 @@ use rand::RngExt;
 use super::{Arena, KeepOut, Portal, Progress, Rules, Scenario, ScenarioError, Settings, Size, TeamSizes, size};
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
-use crate::observation::{Channel, PolicyFrame, Quantity, Unit};
+use crate::observation::{Channel, Observation, PolicyFrame, Quantity, Unit};
 use crate::random::{Seed, Stream};
 use crate::time::Span;
 
@@ -221,7 +221,7 @@ impl Scenario for Passage {
     /// Returns the reward of the paper authors' published environment: the speed toward the next waypoint or the goal
     /// \[m/s\], minus 1.5 for a contact with a robot and 0.25 for one with a wall, plus 10 on arrival.
     fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Progress) -> Option<f32> {
-        let seen = self.observe(task, after);
+        let seen = Observation::in_frame(self.frame(task), task.goal, after);
         let target = match stage.0 {
             0 => Vec2::new(0.0, -self.size.length(WAYPOINT_M)),
             1 => Vec2::new(0.0, self.size.length(WAYPOINT_M)),

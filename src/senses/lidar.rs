@@ -6,7 +6,7 @@ use std::f64::consts::{PI, TAU};
 use serde::Deserialize;
 
 use super::paced::{Measure, Pace};
-use super::rays::{Disc, MAX_RAYS, Rays};
+use super::rays::{MAX_RAYS, Rays};
 use super::{Layout, Parts, Site, WHOLE_RAD};
 use crate::config::{ConfigError, in_range};
 use crate::edge::Settings;
@@ -175,6 +175,7 @@ impl Scanner {
     /// Writes the distances along the rays into `ranges` \[m\], without noise; infinite for no echo. The robot is at
     /// `centre` \[m\] with this `heading` \[rad\], world frame, and the angles of the rays count from the direction
     /// `ahead` \[rad\]: its heading, for rays in its own frame. `others` are the centres of the other robots \[m\].
+    #[inline]
     pub fn scan(
         &mut self,
         arena: &Arena,
@@ -188,22 +189,26 @@ impl Scanner {
             origin += Vec2::new(x as f32, y as f32);
         }
         let radius_m = arena.hull_m();
-        self.rays.place(origin, ahead, ranges);
-        others.for_each(|centre| self.rays.meet_disc(&Disc { centre, radius_m }, ranges));
-        arena.keep_outs.iter().for_each(|block| self.rays.meet_block(block, ranges));
+        self.rays.place(origin, ahead);
+        self.rays.meet_discs(others, radius_m);
+        arena.keep_outs.iter().for_each(|block| self.rays.meet_block(block));
         if self.rails {
             // The hull of a robot touches the rails when its centre is at the end of the ground.
-            self.rays.meet_rails(arena.half_extent.add_scalar(radius_m), ranges);
+            self.rays.meet_rails(arena.half_extent.add_scalar(radius_m));
         }
-        self.rays.limit(ranges);
+        self.rays.write(ranges);
     }
 
     /// Adds noise to the distances, and takes away the echoes that are lost. Without noise and losses no number is
     /// drawn; with them as many for each ray, whatever it meets.
+    #[inline]
     pub fn disturb(&self, stream: &mut Stream, ranges: &mut [f32]) {
-        if self.noise_m <= 0.0 && self.dropouts <= 0.0 {
-            return;
+        if self.noise_m > 0.0 || self.dropouts > 0.0 {
+            self.disturb_each(stream, ranges);
         }
+    }
+
+    fn disturb_each(&self, stream: &mut Stream, ranges: &mut [f32]) {
         let (noise, most) = (self.noise_m, self.sweep.range_m);
         for range in ranges {
             if noise > 0.0 {

@@ -7,6 +7,7 @@
 //!
 //! The function `step` alone defines these dynamics. The World, an actor, and the trainer both call it.
 
+use std::array::from_fn;
 use std::collections::BTreeMap;
 
 use super::{ContactRule, Physics, Plant, PlantState, Wheels};
@@ -54,7 +55,6 @@ pub struct TeamMotion<'a> {
 pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut TeamMotion) {
     team.before.copy_from_slice(team.position);
     let (max_acceleration, gain) = (physics.acceleration_m_s2, physics.gain(PERIOD));
-    // The same expression for both axes, so that the compiler vectorizes the divisions.
     let driven = |velocity: f32, command: f32| {
         let mut wanted = limited(command, MAX_SPEED_M_S);
         if gain < 1.0 {
@@ -63,8 +63,17 @@ pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team
         velocity + limited((wanted - velocity) / DT_S, max_acceleration) * DT_S
     };
     if team.wheels.is_empty() {
-        for (velocity, command) in team.velocity.iter_mut().zip(commands) {
-            *velocity = Vec2::new(driven(velocity.x, command.x), driven(velocity.y, command.y));
+        // The axes of two robots at once, so that the compiler computes them as one vector.
+        let axes = |[one, other]: [Vec2; 2]| [one.x, one.y, other.x, other.y];
+        let (pairs, last) = team.velocity.as_chunks_mut::<2>();
+        let (pairs_commanded, last_commanded) = commands.as_chunks::<2>();
+        for (pair, commands) in pairs.iter_mut().zip(pairs_commanded) {
+            let (velocity, command) = (axes(*pair), axes(*commands));
+            let [a, b, c, d] = from_fn(|axis| driven(velocity[axis], command[axis]));
+            *pair = [Vec2::new(a, b), Vec2::new(c, d)];
+        }
+        for (velocity, command) in last.iter_mut().zip(last_commanded) {
+            *velocity = velocity.zip_map(command, driven);
         }
     } else {
         for ((velocity, wheels), command) in team.velocity.iter_mut().zip(&mut *team.wheels).zip(commands) {
@@ -126,7 +135,9 @@ fn move_robot(robot: usize, candidate: Vec2, touches: bool, blocks: bool, team: 
 fn move_with_all_pairs(distance: f32, blocks: bool, team: &mut TeamMotion) {
     for robot in 0..team.position.len() {
         let candidate = team.position[robot] + team.velocity[robot] * DT_S;
-        let touches = any_within(team.position.iter().map(|other| candidate - other), robot, distance);
+        let (before, others) = team.position.split_at(robot);
+        let near = is_near(candidate, before, distance) || is_near(candidate, &others[1..], distance);
+        let touches = near && any_within(team.position.iter().map(|other| candidate - other), robot, distance);
         move_robot(robot, candidate, touches, blocks, team);
     }
 }
@@ -164,6 +175,20 @@ const NO_INDEX: usize = usize::MAX;
 /// Factor by which a search distance is enlarged, so that rounding errors cannot exclude a robot.
 const ROUNDING_MARGIN: f32 = 1.01;
 
+/// Largest square of an offset whose length may be rounded to `distance`.
+#[inline(always)]
+fn near_square(distance: f32) -> f32 {
+    1.001 * distance * distance
+}
+
+/// Whether any of `others` may be within `distance` of a point: all that `any_within` finds, and few more.
+#[inline(always)]
+fn is_near(point: Vec2, others: &[Vec2], distance: f32) -> bool {
+    let square = near_square(distance);
+    // Without a branch, so that the compiler looks at several at once.
+    others.iter().fold(false, |near, other| near | ((point - other).norm_squared() <= square))
+}
+
 /// Whether any offset except the one at index `own` is at most `distance` long. Squares are compared first, because the
 /// square root keeps their order. The root of the shortest is then taken if it may decide, because its rounding is part
 /// of the published arithmetic.
@@ -174,7 +199,7 @@ fn any_within(offsets: impl Iterator<Item = Vec2>, own: usize, distance: f32) ->
         let square = if at == own { f32::INFINITY } else { square };
         if square < least { square } else { least }
     });
-    shortest <= 1.001 * distance * distance && shortest.sqrt() <= distance
+    shortest <= near_square(distance) && shortest.sqrt() <= distance
 }
 
 /// Training world of the paper as a plant (simulated world): discs that follow their commands within a limited

@@ -95,11 +95,11 @@ fn robots_observe_what_is_about_them_and_messages_have_the_observations_of_their
             near += scan.iter().filter(|distance| **distance < 1.5).count();
             assert!((found[6] - environments.heading(robot)).sin().abs() < 1e-5);
             let (estimate, task) = (environments.estimate(team, robot), environments.tasks[robot]);
-            let seen = environments.scenario(team).observe(&task, &estimate);
-            assert_eq!(Vec2::new(found[0], found[1]), seen.motion.velocity);
+            let seen = environments.scenario(team).frame(&task).turn_motion(&estimate);
+            assert_eq!(Vec2::new(found[0], found[1]), seen.velocity);
             // The middle of the gap is the middle of the ground.
             let gap = (Vec2::new(found[2], found[3]) + Vec2::new(found[4], found[5])) / 2.0;
-            assert!((gap + seen.motion.position).norm() < 1e-5, "{found:?}");
+            assert!((gap + seen.position).norm() < 1e-5, "{found:?}");
         }
         past.push(all);
         for then in (now + 1).saturating_sub(HISTORY_STEPS as u32)..=now {

@@ -16,6 +16,8 @@ pub(super) struct Courses {
     passed: Vec<Vec<u32>>,
     /// Length of the path from the next waypoint of each robot to its goal \[m\].
     beyond_m: Vec<f32>,
+    /// Whether a robot has waypoints: the others are on the only legs of their courses.
+    has_legs: bool,
 }
 
 impl Courses {
@@ -23,7 +25,7 @@ impl Courses {
     pub fn new(robots: usize) -> Courses {
         let whole = vec![Task { start: Vec2::zeros(), goal: Vec2::zeros() }; robots];
         let (courses, passed) = (vec![Course::default(); robots], vec![Vec::new(); robots]);
-        Courses { whole, courses, passed, beyond_m: vec![0.0; robots] }
+        Courses { whole, courses, passed, beyond_m: vec![0.0; robots], has_legs: false }
     }
 
     /// Begins the course of a robot with start and goal `task` through these waypoints \[m\], world frame, which were
@@ -35,9 +37,15 @@ impl Courses {
         scenario: &dyn Scenario,
     ) -> Task {
         self.whole[robot] = *task;
+        self.has_legs |= !waypoints.is_empty();
         self.courses[robot] = Course::new(waypoints).after(passed.len());
         self.passed[robot] = passed;
         self.leg(robot, scenario)
+    }
+
+    /// Returns whether a robot has, or had in an earlier episode, waypoints to pass.
+    pub fn has_legs(&self) -> bool {
+        self.has_legs
     }
 
     /// Returns the task of the leg that begins where a robot at `point` \[m\] passes its next waypoint, within
@@ -72,12 +80,16 @@ impl Courses {
 
     /// Leaves of the robots that have `reached` the ends of their legs those that have passed all waypoints.
     pub fn keep_through(&self, range: Range<usize>, reached: &mut [bool]) {
-        self.courses[range].iter().zip(reached).for_each(|(course, reached)| *reached &= course.is_through());
+        if self.has_legs {
+            self.courses[range].iter().zip(reached).for_each(|(course, reached)| *reached &= course.is_through());
+        }
     }
 
     /// Adds the lengths of the remaining paths beyond the present legs to those of the legs, `to_go_m` \[m\].
     pub fn add_beyond(&self, range: Range<usize>, to_go_m: &mut [f32]) {
-        self.beyond_m[range].iter().zip(to_go_m).for_each(|(beyond_m, to_go_m)| *to_go_m += beyond_m);
+        if self.has_legs {
+            self.beyond_m[range].iter().zip(to_go_m).for_each(|(beyond_m, to_go_m)| *to_go_m += beyond_m);
+        }
     }
 
     /// Returns the task of the leg on which a robot was in `step` of its episode.

@@ -18,11 +18,12 @@ use super::config::{Conditions, Reward};
 use super::courses::Courses;
 use super::filters;
 use super::message_buffer::MessageBuffer;
-use super::reward::{RobotStep, TeamMeans, coverage_penalty, proximity_penalty, robot_reward, team_penalty};
+use super::reward::TeamStep;
 use super::rolling::Rolling;
 use murmurate::chassis::{Chassis, DriveKind};
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::local::Contacts;
+use murmurate::observation::PolicyFrame;
 use murmurate::random;
 use murmurate::random::Stream;
 use murmurate::safety::filter::Filter;
@@ -80,6 +81,8 @@ pub struct Environments {
     pub contacts: Vec<Contacts>,
     /// Start and goal of each robot in its current episode \[m\], world frame: of its present leg, if it has waypoints.
     pub tasks: Vec<Task>,
+    /// Policy frame of each robot with that start and goal.
+    pub(super) frame: Vec<PolicyFrame>,
     pub(super) courses: Courses,
     /// Stage of each robot's progress, which the scenario's reward uses.
     pub stage: Vec<Progress>,
@@ -109,6 +112,8 @@ pub struct Environments {
     pub(super) role_of: Arc<[u8]>,
     /// Lengths of the remaining paths after the last step \[m\], where the reward uses them.
     left_m: Vec<f32>,
+    /// Nearness of the other robots of each robot's team after the last step, where the reward uses it.
+    near: Vec<f32>,
 }
 
 /// Draws the conditions of the next episode of a team of `robots` robots from `stream`, and then the seed and the
@@ -163,6 +168,7 @@ impl Environments {
             rolling: None,
             contacts: vec![Contacts::default(); robots],
             tasks: vec![no_task; robots],
+            frame: vec![PolicyFrame::World; robots],
             courses: Courses::new(robots),
             stage: vec![Progress(0); robots],
             arrived: vec![false; robots],
@@ -177,6 +183,7 @@ impl Environments {
             observing: Vec::new(),
             role_of: Arc::new([]),
             left_m: vec![0.0; robots],
+            near: vec![0.0; robots],
         }
     }
 
@@ -211,6 +218,7 @@ impl Environments {
     }
 
     /// Returns the arena of the current episode of the team with index `team`.
+    #[inline]
     pub fn arena(&self, team: usize) -> &Arena {
         self.arenas[team].as_ref().unwrap_or_else(|| self.scenario(team).arena())
     }
@@ -327,39 +335,26 @@ impl Environments {
             scenario.distances_to_go(tasks, points, &mut self.left_m[range.clone()]);
             self.courses.add_beyond(range.clone(), &mut self.left_m[range.clone()]);
         }
-        let scored = self.scenario_reward[range.clone()].iter().zip(&self.reached[range.clone()]);
-        let scored = scored.zip(&self.left_m[range.clone()]);
-        let progress = self.to_go_m[range.clone()].iter_mut().zip(&mut self.arrived[range.clone()]);
-        let progress = progress.zip(&mut self.reward[range.clone()]);
-        let states = tasks.iter().zip(position.iter().zip(points)).zip(contacts).zip(scored).zip(progress).enumerate();
-        let means = TeamMeans::of(weights, points, velocity);
-        let (mut sum, mut touched) = (0.0, false);
-        for (robot, ((((task, (&at, &point)), &contacts), scored), ((to_go_m, arrived), reward))) in states {
-            let ((&scenario_reward, &reached), &left_m) = scored;
-            let step = RobotStep { task, position: at, contacts, scenario_reward, reached, left_m, to_go_m, arrived };
-            *reward = robot_reward(weights, arena, step);
-            if weights.proximity > 0.0 {
-                *reward -= proximity_penalty(weights, robot, position);
-            }
-            if let Some(means) = &means {
-                *reward -= means.penalty(weights, &Motion { position: point, velocity: velocity[robot] });
-            }
-            sum += *reward;
-            touched |= contacts.wall || (judged && contacts.robot);
-        }
-        let uncovered = coverage_penalty(weights, arena, points);
-        let waiting = team_penalty(weights, &self.arrived[range.clone()]) + uncovered;
-        let mean = sum / range.len() as f32;
-        for reward in &mut self.reward[range] {
-            *reward += weights.shared * (mean - *reward) - waiting;
-        }
+        let step = TeamStep {
+            tasks,
+            position,
+            points,
+            velocity,
+            contacts,
+            scenario_reward: &self.scenario_reward[range.clone()],
+            reached: &self.reached[range.clone()],
+            left_m: &self.left_m[range.clone()],
+            to_go_m: &mut self.to_go_m[range.clone()],
+            arrived: &mut self.arrived[range.clone()],
+            reward: &mut self.reward[range.clone()],
+            near: &mut self.near[range.clone()],
+        };
         let team_of = &mut self.teams[team];
-        team_of.touched |= touched;
-        team_of.episode_return += mean - waiting;
+        team_of.episode_return += step.score(weights, arena);
+        team_of.touched |= contacts.iter().any(|contacts| contacts.wall || (judged && contacts.robot));
         team_of.step += 1;
         self.turn(team);
-        let team_of = &self.teams[team];
-        if !team_of.episode.lockstep {
+        if !self.teams[team].episode.lockstep {
             self.measure(team, stream);
         }
     }
@@ -371,18 +366,20 @@ impl Environments {
             None => (&self.position, &self.velocity),
             Some(rolling) => (&rolling.position, &rolling.velocity),
         };
-        let TrainingTeam { first, robots, step, episode, messages, .. } = &mut self.teams[team];
-        for robot in 0..*robots {
-            let mut motion = Motion { position: position[*first + robot], velocity: velocity[*first + robot] };
-            let mut noise = |std: f32, to: &mut Vec2| {
-                if std > 0.0 {
-                    *to += Vec2::from(random::normals(stream).map(|unit| unit as f32)) * std;
-                }
-            };
-            noise(episode.position_noise_m, &mut motion.position);
-            noise(episode.velocity_noise_m_s, &mut motion.velocity);
-            messages.store(*step, robot, &motion);
-        }
+        let range = self.teams[team].range();
+        let TrainingTeam { step, episode, messages, .. } = &mut self.teams[team];
+        let motions = position[range.clone()].iter().zip(&velocity[range]);
+        messages.store(
+            *step,
+            motions.map(|(&position, &velocity)| {
+                let mut noise = |std: f32, to: Vec2| match std > 0.0 {
+                    true => to + Vec2::from(random::normals(stream).map(|unit| unit as f32)) * std,
+                    false => to,
+                };
+                let position = noise(episode.position_noise_m, position);
+                Motion { position, velocity: noise(episode.velocity_noise_m_s, velocity) }
+            }),
+        );
         self.perceive(team, stream);
     }
 

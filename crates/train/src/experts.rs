@@ -68,7 +68,7 @@ impl Expert {
 pub(crate) fn known(channels: Option<&Channels>, scenario: &dyn Scenario) -> bool {
     let team: Vec<Option<Task>> = scenario.tasks(0, 0).into_iter().map(Some).collect();
     let start = team.iter().flatten().next().expect("a team has a robot");
-    let own = scenario.observe(start, &Motion::at_rest(start.start));
+    let own = Observation::in_frame(scenario.frame(start), start.goal, &Motion::at_rest(start.start));
     Sight::new(channels, team.len()).see(own, 0, &team).values.iter().all(|value| value.is_finite())
 }
 

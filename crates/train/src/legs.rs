@@ -1,6 +1,8 @@
 //! Legs of the robots of training environments: from waypoint to waypoint, and to their goals.
 
-use murmurate::messages::geometry::Task;
+use murmurate::messages::geometry::{Task, Vec2};
+use murmurate::observation::PolicyFrame;
+use murmurate::scenario::Scenario;
 use murmurate::scenario::course::TURNING;
 use murmurate::scenario::judge::Judge;
 
@@ -14,20 +16,38 @@ impl Environments {
         let mut waypoints = scenario.waypoints(seed, episode).into_iter();
         for (robot, task) in self.teams[team].range().zip(tasks) {
             let course = (waypoints.next().unwrap_or_default(), passed.get(robot).cloned().unwrap_or_default());
-            self.tasks[robot] = self.courses.begin((robot, task), course, &*scenario);
+            let leg = self.courses.begin((robot, task), course, &*scenario);
+            self.set_leg(robot, leg, &*scenario);
         }
+    }
+
+    fn set_leg(&mut self, robot: usize, leg: Task, scenario: &dyn Scenario) {
+        (self.tasks[robot], self.frame[robot]) = (leg, scenario.frame(&leg));
     }
 
     /// Lets the robots of a team turn to their next waypoints where they have come to one in the last step.
     pub(super) fn turn(&mut self, team: usize) {
+        if !self.courses.has_legs() {
+            return;
+        }
         let (scenario, step) = (self.scenario_of(team), self.teams[team].step);
         let within_m = TURNING * scenario.rules().arrival_m;
         for robot in self.teams[team].range() {
             let at = (self.point(robot).position, within_m);
             if let Some(leg) = self.courses.pass((robot, step), at, &*scenario) {
-                self.tasks[robot] = leg;
+                self.set_leg(robot, leg, &*scenario);
             }
         }
+    }
+
+    /// Returns the policy frame that a robot had in `step` of its episode, and the goal \[m\], world frame, for which
+    /// it was bound.
+    pub(super) fn bound_in(&self, team: usize, robot: usize, step: u32) -> (PolicyFrame, Vec2) {
+        if !self.courses.has_legs() {
+            return (self.frame[robot], self.tasks[robot].goal);
+        }
+        let leg = self.courses.leg_in(robot, step);
+        (self.scenario(team).frame(&leg), leg.goal)
     }
 
     /// Whether all robots of the team with index `team` have arrived.

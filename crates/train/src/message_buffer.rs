@@ -5,6 +5,8 @@
 //! the sender is in range at its arrival, in place of an older message from that sender. The receiver uses it for the
 //! hold time, counted from the arrival.
 
+use std::ops::Range;
+
 use rand::RngExt;
 
 use super::conditions::{Connectivity, EpisodeConditions};
@@ -80,31 +82,45 @@ impl MessageBuffer {
             && self.undrawn.iter().all(|undrawn| *undrawn <= step + 1)
     }
 
-    /// Stores the estimate of its own motion, world frame, that the robot with index `robot` in the team has in `step`.
-    pub fn store(&mut self, step: u32, robot: usize, estimate: &Motion) {
-        let (p, v) = (estimate.position, estimate.velocity);
-        self.estimates[step as usize % self.history * self.robots + robot] = [p.x, p.y, v.x, v.y];
+    /// Returns the stored numbers of a step: those of one robot after the other.
+    fn row(&self, step: u32) -> Range<usize> {
+        // Most teams store one step alone, and a division takes as long as all else.
+        let row = if self.history == 1 { 0 } else { step as usize % self.history * self.robots };
+        row..row + self.robots
+    }
+
+    /// Stores the estimates of their own motions, world frame, that the robots of the team have in `step`.
+    pub fn store(&mut self, step: u32, estimates: impl Iterator<Item = Motion>) {
+        let row = self.row(step);
+        for (to, Motion { position, velocity }) in self.estimates[row].iter_mut().zip(estimates) {
+            *to = [position.x, position.y, velocity.x, velocity.y];
+        }
+    }
+
+    /// Returns the estimates of their own motions, world frame, that the robots of the team had in `step`, which must
+    /// be among the stored steps.
+    pub fn estimates(&self, step: u32) -> impl Iterator<Item = Motion> + '_ {
+        self.estimates[self.row(step)].iter().map(motion)
     }
 
     /// Returns the estimate of its own motion, world frame, that the robot with index `robot` in the team had in
     /// `step`, which must be among the stored steps.
     pub fn estimate(&self, step: u32, robot: usize) -> Motion {
-        let [x, y, vx, vy] = self.estimates[step as usize % self.history * self.robots + robot];
-        Motion { position: Vec2::new(x, y), velocity: Vec2::new(vx, vy) }
+        motion(&self.estimates[self.row(step)][robot])
     }
 
     /// Stores the policy's observation that the robot with index `robot` in the team has in `step`.
     pub fn store_observation(&mut self, (step, robot): (u32, usize), observation: &[f32]) {
         let width = observation.len();
         self.observations.resize(self.robots * self.history * width, 0.0);
-        let at = step as usize % self.history * self.robots + robot;
+        let at = self.row(step).start + robot;
         self.observations[at * width..][..width].copy_from_slice(observation);
     }
 
     /// Returns the stored observation, of `width` floats, that the robot with index `robot` in the team had in `step`,
     /// which must be among the stored steps.
     pub fn observation(&self, step: u32, robot: usize, width: usize) -> &[f32] {
-        let at = step as usize % self.history * self.robots + robot;
+        let at = self.row(step).start + robot;
         &self.observations[at * width..][..width]
     }
 
@@ -188,6 +204,10 @@ impl MessageBuffer {
     }
 }
 
+fn motion(&[x, y, vx, vy]: &[f32; 4]) -> Motion {
+    Motion { position: Vec2::new(x, y), velocity: Vec2::new(vx, vy) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -201,7 +221,7 @@ mod tests {
         messages.restart(2, false);
         let mut counts = vec![0; HISTORY_STEPS + 1];
         for step in 0..steps {
-            (0..2).for_each(|robot| messages.store(step, robot, &Motion::at_rest(Vec2::new(robot as f32, 0.0))));
+            messages.store(step, (0..2).map(|robot| Motion::at_rest(Vec2::new(robot as f32, 0.0))));
             if !step.is_multiple_of(repeat) {
                 continue;
             }

@@ -11,26 +11,34 @@ const NEAR_GOAL_M: f32 = 0.5;
 /// Number of points along each axis of the ground at which its distance from the nearest robot is taken.
 const GROUND_POINTS: u8 = 16;
 
-/// State of one robot before and after a step, as input of the reward.
+/// States of the robots of a team before and after a step, as inputs of their rewards. Slices have one entry per robot.
 #[derive(Debug)]
-pub struct RobotStep<'a> {
-    /// Start and goal of the robot \[m\], world frame.
-    pub task: &'a Task,
-    /// Position of the robot's centre after the step \[m\], world frame.
-    pub position: Vec2,
-    /// Contacts of the robot with walls and other robots in the step.
-    pub contacts: Contacts,
-    /// The scenario's own reward of the robot for the step, before weighting.
-    pub scenario_reward: f32,
-    /// Whether the robot is at its goal after the step.
-    pub reached: bool,
-    /// Length of the remaining path after the step \[m\], if the reward uses it.
-    pub left_m: f32,
-    /// Length of the remaining path before the step \[m\]. It is replaced by the length after the step if the reward
-    /// uses it.
-    pub to_go_m: &'a mut f32,
-    /// Whether the robot had arrived before the step. It is set if the robot arrives in the step.
-    pub arrived: &'a mut bool,
+pub struct TeamStep<'a> {
+    /// Start and goal of each robot \[m\], world frame.
+    pub tasks: &'a [Task],
+    /// Position of each robot's centre after the step \[m\], world frame.
+    pub position: &'a [Vec2],
+    /// Position of each robot's commanded point after the step \[m\], world frame.
+    pub points: &'a [Vec2],
+    /// Velocity of each robot's commanded point after the step \[m/s\], world frame.
+    pub velocity: &'a [Vec2],
+    /// Contacts of each robot with walls and other robots in the step.
+    pub contacts: &'a [Contacts],
+    /// The scenario's own reward of each robot for the step, before weighting.
+    pub scenario_reward: &'a [f32],
+    /// Whether each robot is at its goal after the step.
+    pub reached: &'a [bool],
+    /// Length of each robot's remaining path after the step \[m\], if the reward uses it.
+    pub left_m: &'a [f32],
+    /// Length of each robot's remaining path before the step \[m\]. It is replaced by the length after the step if the
+    /// reward uses it.
+    pub to_go_m: &'a mut [f32],
+    /// Whether each robot had arrived before the step. It is set for robots that arrive in the step.
+    pub arrived: &'a mut [bool],
+    /// Output: reward of each robot for the step.
+    pub reward: &'a mut [f32],
+    /// Scratch space.
+    pub near: &'a mut [f32],
 }
 
 /// Whether the scenario has a reward of its own: whether its method `reward` returns one.
@@ -42,38 +50,79 @@ pub fn has_reward(scenario: &dyn Scenario) -> bool {
     tasks.first().and_then(reward).is_some()
 }
 
-/// Returns the reward of one robot for a step in the arena of its episode: the terms with these `weights`, without
-/// those that depend on other robots' positions or rewards.
-pub fn robot_reward(weights: &Reward, arena: &Arena, step: RobotStep) -> f32 {
-    let position = step.position;
-    let mut reward = 0.0;
-    if weights.scenario > 0.0 {
-        reward += weights.scenario * step.scenario_reward;
-    }
-    if weights.progress > 0.0 {
-        reward += weights.progress * (*step.to_go_m - step.left_m);
-        *step.to_go_m = step.left_m;
-    }
-    if !*step.arrived {
-        if step.reached {
-            *step.arrived = true;
-            reward += weights.arrival;
-        } else {
-            reward -= weights.time * PERIOD.as_secs() as f32;
+impl TeamStep<'_> {
+    /// Writes the reward of each robot in the arena of its episode, with these `weights`. Returns their mean.
+    pub fn score(mut self, weights: &Reward, arena: &Arena) -> f32 {
+        let robots = self.reward.len();
+        self.cut(robots);
+        let means = TeamMeans::of(weights, self.points, self.velocity);
+        if weights.proximity > 0.0 {
+            nearness(weights.proximity_m, self.position, self.near);
         }
+        let mut sum = 0.0;
+        for robot in 0..robots {
+            let mut reward = self.own(weights, arena, robot);
+            if weights.proximity > 0.0 {
+                reward -= weights.scale * weights.proximity * self.near[robot] * PERIOD.as_secs() as f32;
+            }
+            if let Some(means) = &means {
+                let motion = Motion { position: self.points[robot], velocity: self.velocity[robot] };
+                reward -= means.penalty(weights, &motion);
+            }
+            self.reward[robot] = reward;
+            sum += reward;
+        }
+        let waiting = team_penalty(weights, self.arrived) + coverage_penalty(weights, arena, self.points);
+        let mean = sum / robots as f32;
+        for reward in self.reward {
+            *reward += weights.shared * (mean - *reward) - waiting;
+        }
+        mean - waiting
     }
-    if step.contacts.wall {
-        reward -= weights.wall;
+
+    /// Cuts all lists to one length, so that what follows looks nowhere for the end of one of them.
+    #[inline(always)]
+    fn cut(&mut self, robots: usize) {
+        (self.tasks, self.position) = (&self.tasks[..robots], &self.position[..robots]);
+        (self.points, self.velocity) = (&self.points[..robots], &self.velocity[..robots]);
+        (self.contacts, self.reached) = (&self.contacts[..robots], &self.reached[..robots]);
+        (self.scenario_reward, self.left_m) = (&self.scenario_reward[..robots], &self.left_m[..robots]);
     }
-    if step.contacts.robot {
-        reward -= weights.robot;
+
+    /// Returns the reward of a robot without the terms that depend on other robots' positions or rewards, and notes its
+    /// arrival and the length of its path.
+    #[inline(always)]
+    fn own(&mut self, weights: &Reward, arena: &Arena, robot: usize) -> f32 {
+        let mut reward = 0.0;
+        if weights.scenario > 0.0 {
+            reward += weights.scenario * self.scenario_reward[robot];
+        }
+        if weights.progress > 0.0 {
+            reward += weights.progress * (self.to_go_m[robot] - self.left_m[robot]);
+            self.to_go_m[robot] = self.left_m[robot];
+        }
+        if !self.arrived[robot] {
+            if self.reached[robot] {
+                self.arrived[robot] = true;
+                reward += weights.arrival;
+            } else {
+                reward -= weights.time * PERIOD.as_secs() as f32;
+            }
+        }
+        if self.contacts[robot].wall {
+            reward -= weights.wall;
+        }
+        if self.contacts[robot].robot {
+            reward -= weights.robot;
+        }
+        if weights.wall_proximity > 0.0 && !arena.keep_outs.is_empty() {
+            let position = self.position[robot];
+            let near_m = wall_proximity_m(weights, arena, self.tasks[robot].goal, position);
+            let near = 1.0 - arena.clearance(position) / near_m;
+            reward -= weights.wall_proximity * near.max(0.0) * PERIOD.as_secs() as f32;
+        }
+        reward * weights.scale
     }
-    if weights.wall_proximity > 0.0 {
-        let near_m = wall_proximity_m(weights, arena, step.task.goal, position);
-        let near = 1.0 - arena.clearance(position) / near_m;
-        reward -= weights.wall_proximity * near.max(0.0) * PERIOD.as_secs() as f32;
-    }
-    reward * weights.scale
 }
 
 /// Returns the distance from a wall at which a robot at `position` with the goal `goal` begins to pay for its nearness
@@ -85,17 +134,21 @@ fn wall_proximity_m(weights: &Reward, arena: &Arena, goal: Vec2, position: Vec2)
     weights.wall_proximity_m
 }
 
-/// Returns the penalty, zero or more, of robot `robot` in a step for its nearness to the other robots of its team.
-/// `positions` are those of the centres of the team's robots \[m\].
-pub fn proximity_penalty(weights: &Reward, robot: usize, positions: &[Vec2]) -> f32 {
-    let mut near = 0.0;
-    for (other, position) in positions.iter().enumerate() {
-        let distance_squared = (position - positions[robot]).norm_squared();
-        if other != robot && distance_squared < weights.proximity_m * weights.proximity_m {
-            near += 1.0 - distance_squared.sqrt() / weights.proximity_m;
+/// Writes for each robot how near the other robots of its team are: the sum over those within `within_m` \[m\] of 1 at
+/// distance zero to 0 at that distance. `positions` are those of the centres of the team's robots \[m\].
+fn nearness(within_m: f32, positions: &[Vec2], near: &mut [f32]) {
+    near.fill(0.0);
+    // Pairs in this order add to each robot in the order of the others' ids.
+    for (robot, position) in positions.iter().enumerate() {
+        for (other, other_position) in positions.iter().enumerate().skip(robot + 1) {
+            let distance_squared = (other_position - position).norm_squared();
+            if distance_squared < within_m * within_m {
+                let nearness = 1.0 - distance_squared.sqrt() / within_m;
+                near[robot] += nearness;
+                near[other] += nearness;
+            }
         }
     }
-    weights.scale * weights.proximity * near * PERIOD.as_secs() as f32
 }
 
 /// Mean position \[m\] and velocity \[m/s\] of a team.
@@ -209,6 +262,15 @@ mod tests {
         let block = KeepOut::rect(Vec2::new(0.0, -3.0), Vec2::new(3.0, 3.0));
         let half = Arena::new(Vec2::new(3.0, 3.0), vec![block], 0.1);
         assert!((cost(1.0, &half, &halves[..1]) - (0.75 + 3.0)).abs() < 0.03, "a block need not be covered");
+    }
+
+    #[test]
+    fn robots_are_near_to_each_other_by_what_distances_lack() {
+        let positions = [Vec2::zeros(), Vec2::new(0.25, 0.0), Vec2::new(5.0, 0.0), Vec2::new(0.0, 0.125)];
+        let mut near = [f32::NAN; 4];
+        nearness(0.5, &positions, &mut near);
+        let apart = 1.0 - (positions[3] - positions[1]).norm() / 0.5;
+        assert_eq!(near, [0.5 + 0.75, 0.5 + apart, 0.0, 0.75 + apart]);
     }
 
     #[test]

@@ -216,7 +216,7 @@ impl Chunk {
         self.sources.clear();
         self.sources.resize(range.len() * HISTORY_STEPS, None);
         for receiver in 0..range.len() {
-            let (tasks, graphs, sources) = (&environments.tasks, &mut record.actor, &mut self.sources);
+            let (frames, graphs, sources) = (&environments.frame, &mut record.actor, &mut self.sources);
             let episode = &environments.teams[team].episode;
             let reach = (episode, settings.config.policy.radius_m);
             messages.receive(reach, (step, 0), receiver, stream, |messages, message| {
@@ -231,7 +231,7 @@ impl Chunk {
                         source
                     })
                 };
-                let frame = environments.scenario(team).frame(&tasks[range.start + receiver]);
+                let frame = frames[range.start + receiver];
                 let [own, sent] = [messages.estimate(step, receiver), sent].map(|motion| frame.turn_motion(&motion));
                 let receiver = offset + receiver;
                 let to = match recurrent {
@@ -279,7 +279,7 @@ impl Chunk {
         for team in teams {
             let members = environments.teams[team].range();
             for robot in members.clone() {
-                let frame = environments.scenario(team).frame(&environments.tasks[robot]);
+                let frame = environments.frame[robot];
                 for other in members.clone().filter(|&other| other != robot) {
                     let relative = frame.turn(environments.position[other] - environments.position[robot]);
                     let to = graphs.edge(robot - range.start, (other - range.start) as u16);
@@ -324,12 +324,8 @@ impl Chunk {
 
     /// Transforms `velocities` from the policy frame to the world frame.
     fn transform_to_world(&mut self) {
-        for team in 0..self.environments.teams.len() {
-            for robot in self.environments.teams[team].range() {
-                let velocity = self.velocities[robot];
-                self.velocities[robot] =
-                    self.environments.scenario(team).steer(&self.environments.tasks[robot], velocity);
-            }
+        for (velocity, frame) in self.velocities.iter_mut().zip(&self.environments.frame) {
+            *velocity = frame.turn(*velocity);
         }
     }
 

@@ -9,7 +9,7 @@ use std::borrow::Cow;
 use super::channels::{Channels, Observing, Perception, Place};
 use super::environments::{Environments, TrainingTeam};
 use super::message_buffer::MessageBuffer;
-use murmurate::messages::geometry::{Motion, Task};
+use murmurate::messages::geometry::{Motion, Planar, Task};
 use murmurate::observation::Observation;
 use murmurate::policy::hops::entry::{self, Entry};
 use murmurate::random::Stream;
@@ -97,10 +97,29 @@ impl Environments {
         match channels {
             Some(_) => to.copy_from_slice(&messages.observation(step, robot, self.stored())[..to.len()]),
             None => {
-                let robot_of_all = self.teams[team].first + robot;
-                let leg = self.courses.leg_in(robot_of_all, step);
-                let own = self.own((team, robot_of_all), &leg, &messages.estimate(step, robot));
-                entry::write(entries, &own, to);
+                let bound = self.bound_in(team, self.teams[team].first + robot, step);
+                let own = Observation::in_frame(bound.0, bound.1, &messages.estimate(step, robot));
+                entry::write(entries, &Observation { dynamics: self.teams[team].episode.dynamics(), ..own }, to);
+            }
+        }
+    }
+
+    /// Writes the observations that the robots of a team have in its current step into `to`, `floats` of each.
+    pub fn observations(&self, team: usize, floats: usize, to: &mut [f32]) {
+        let TrainingTeam { step, messages, episode, .. } = &self.teams[team];
+        let Perception { entries, channels } = &self.observing[0].perception;
+        if channels.is_some() || !self.role_of.is_empty() {
+            for (robot, to) in to.chunks_exact_mut(floats).enumerate() {
+                self.observation(team, messages, (*step, robot), to);
+            }
+            return;
+        }
+        let (range, dynamics) = (self.teams[team].range(), episode.dynamics());
+        let seen = messages.estimates(*step).zip(self.frame[range.clone()].iter().zip(&self.tasks[range]));
+        for ((estimate, (frame, task)), to) in seen.zip(to.chunks_exact_mut(floats)) {
+            let own = Observation { dynamics, ..Observation::in_frame(*frame, task.goal, &estimate) };
+            for (to, field) in to.as_chunks_mut().0.iter_mut().zip(entries.iter().filter_map(Entry::field)) {
+                *to = field.of(&own).to_array();
             }
         }
     }
@@ -115,9 +134,7 @@ impl Environments {
         // What channels remember does not change by it.
         let remembered = of_critic.memory[robot * each..][..each].to_vec();
         match self.seen(of_critic, (team, robot), &truth, None) {
-            None => {
-                entry::write(&of_critic.perception.entries, &self.own((team, robot), &self.tasks[robot], &truth), to)
-            }
+            None => entry::write(&of_critic.perception.entries, &self.own((team, robot), &truth), to),
             Some(observation) => to.copy_from_slice(&observation),
         }
         of_critic.memory[robot * each..][..each].copy_from_slice(&remembered);
@@ -127,22 +144,20 @@ impl Environments {
     /// Returns the true state of the robot with index `robot` among all robots, without values of channels. Its team
     /// has the index `team`.
     pub(super) fn true_state(&self, team: usize, robot: usize) -> Observation<'static> {
-        self.own((team, robot), &self.tasks[robot], &self.point(robot))
+        self.own((team, robot), &self.point(robot))
     }
 
-    /// Returns the state of a robot with this task and the motion `estimate`, world frame, as the policy observes it,
-    /// without values of channels.
-    fn own(&self, (team, robot): (usize, usize), task: &Task, estimate: &Motion) -> Observation<'static> {
-        let (scenario, of_team) = (self.scenario(team), &self.teams[team]);
-        let frame = scenario.frame(task);
+    /// Returns the state of a robot with the motion `estimate`, world frame, as the policy observes it, without values
+    /// of channels.
+    fn own(&self, (team, robot): (usize, usize), estimate: &Motion) -> Observation<'static> {
+        let (of_team, frame) = (&self.teams[team], self.frame[robot]);
         let yaw_rate = self.rolling.as_ref().map_or(0.0, |rolling| rolling.wheels[robot].yaw_rate());
         Observation {
             dynamics: of_team.episode.dynamics(),
-            frame,
             heading: Some(frame.turn_angle(self.heading(robot))),
             yaw_rate: Some(yaw_rate),
             elapsed: of_team.elapsed(),
-            ..scenario.observe(task, estimate)
+            ..Observation::in_frame(frame, self.tasks[robot].goal, estimate)
         }
     }
 
@@ -168,7 +183,7 @@ impl Environments {
             robot: robot - range.start,
         };
         channels.sense(place, stream);
-        let own = self.own((team, robot), &self.tasks[robot], estimate);
+        let own = self.own((team, robot), estimate);
         let tasks: Vec<Option<Task>> = self.tasks[range].iter().copied().map(Some).collect();
         let values = channels.values(memory, &own, (&self.tasks[robot], &tasks));
         let mut observation = Vec::new();

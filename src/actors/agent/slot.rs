@@ -67,7 +67,8 @@ impl RobotPolicies {
         let frame = scenario.frame(task);
         let heading = percept.heading.map(|heading| frame.turn_angle(heading));
         let (dynamics, yaw_rate) = (self.dynamics, percept.yaw_rate);
-        Observation { dynamics, frame, heading, yaw_rate, elapsed, ..scenario.observe(task, &percept.estimate) }
+        let own = Observation::in_frame(frame, task.goal, &percept.estimate);
+        Observation { dynamics, heading, yaw_rate, elapsed, ..own }
     }
 }
 

@@ -33,6 +33,7 @@ pub struct Named {
 
 impl Entry {
     /// Returns the number of floats of the entry; zero for a channel whose shape is none.
+    #[inline]
     pub fn floats(&self) -> usize {
         match self {
             Entry::Field(_) => 2,
@@ -69,19 +70,23 @@ pub fn requests(entries: &[Entry]) -> Vec<Request> {
 
 /// Writes the entries one after the other into `to`, which has their [`floats`]. `own.values` has the values of the
 /// entries' channels, by their [`requests`].
+#[inline]
 pub fn write(entries: &[Entry], own: &Observation, to: &mut [f32]) {
     let (mut values, mut rest) = (own.values, to);
     for entry in entries {
-        let (to, after) = rest.split_at_mut(entry.floats());
         match entry {
-            Entry::Field(field) => to.copy_from_slice(&field.of(own).to_array()),
+            Entry::Field(field) => {
+                let (to, after) = rest.split_first_chunk_mut().expect("there is room for each entry");
+                *to = field.of(own).to_array();
+                rest = after;
+            }
             Entry::Channel(_) => {
+                let (to, after) = rest.split_at_mut(entry.floats());
                 let (now, later) = values.split_at(to.len());
                 to.copy_from_slice(now);
-                values = later;
+                (values, rest) = (later, after);
             }
         }
-        rest = after;
     }
 }
 

@@ -342,6 +342,7 @@ impl Scenario for FromFile {
         PolicyFrame::World
     }
 
+    #[inline]
     fn goals(&self) -> Goals {
         self.file.fields.goals
     }
@@ -353,6 +354,7 @@ impl Scenario for FromFile {
         vec![goals::channel(self.robots), goals::nearest()]
     }
 
+    #[inline]
     fn distance_to_go(&self, task: &Task, position: Vec2) -> f32 {
         self.ways.get_or_init(|| Ways::new(&self.arena)).length_m(position, task.goal)
     }
@@ -361,6 +363,7 @@ impl Scenario for FromFile {
         self.file.fields.scripted_success
     }
 
+    #[inline]
     fn rules(&self) -> Rules {
         self.rules
     }

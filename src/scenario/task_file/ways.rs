@@ -67,11 +67,14 @@ impl Ways {
 
     /// Returns the length \[m\] of the shortest path from `from` to `to` \[m\], world frame; if there is none, a length
     /// that is longer than every path.
+    #[inline]
     pub fn length_m(&self, from: Vec2, to: Vec2) -> f32 {
         let straight_m = (to - from).norm();
-        if self.sees(from, to) {
-            return straight_m;
-        }
+        if self.sees(from, to) { straight_m } else { self.around_m(from, to) }
+    }
+
+    /// Returns the length \[m\] of the shortest path by way of a corner, or longer than every path.
+    fn around_m(&self, from: Vec2, to: Vec2) -> f32 {
         let seen = self.corners.iter().enumerate().filter(|(_, corner)| self.sees(**corner, to));
         let last: Vec<(usize, f32)> = seen.map(|(at, corner)| (at, (to - corner).norm())).collect();
         let n = self.corners.len();
@@ -84,13 +87,13 @@ impl Ways {
                 shortest_m = whole_m;
             }
         }
-        if shortest_m.is_finite() { shortest_m } else { straight_m + self.nowhere_m }
+        if shortest_m.is_finite() { shortest_m } else { (to - from).norm() + self.nowhere_m }
     }
 
     /// Returns whether the straight line between two points is free. An end that is nearer to a block than paths are
     /// can leave it.
     fn sees(&self, from: Vec2, to: Vec2) -> bool {
-        self.blocks.iter().all(|block| {
+        self.blocks.iter().filter(|block| block.may_block(from, to, self.margin_m)).all(|block| {
             let margin_m = self.margin_m.min(block.distance(from).min(block.distance(to)) - BESIDE_M);
             !block.blocks(from, to, margin_m)
         })

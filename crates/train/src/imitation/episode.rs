@@ -146,7 +146,7 @@ impl<'a> TaughtTeam<'a> {
     /// Returns the observation of a robot without values of channels.
     fn own(&self, robot: usize) -> Observation<'static> {
         let task = self.tasks[robot].as_ref().expect("in training every task is known");
-        let own = self.setting.scenario.observe(task, &self.motion[robot]);
+        let own = Observation::in_frame(self.setting.scenario.frame(task), task.goal, &self.motion[robot]);
         Observation { elapsed: self.after, ..own }
     }
 

@@ -3,21 +3,23 @@
 //! An environment is one team with its own random stream. So its data depends neither on the number of threads, nor on
 //! that of the environments, nor on resets of others.
 
+mod buffers;
 mod memory;
 mod options;
 mod phases;
 mod scan;
 mod state;
 
+pub use buffers::{Buffers, Lengths};
 pub use options::{Autoreset, Content, Lidar, Options};
 pub use phases::{LayoutKey, TeamStates};
 pub use state::{StateError, layouts_of, options_of};
 pub(crate) use state::{check_version, same_settings};
 
 use super::conditions::EpisodeConditions;
-use super::environments::{Environments, TrainingTeam};
+use super::environments::Environments;
 use super::message_buffer::{HISTORY_STEPS, HeldMessage};
-use super::parallel::{cut, in_parallel};
+use super::parallel::in_parallel;
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::local::Contacts;
 use murmurate::policy::hops::entry::Entry;
@@ -26,84 +28,6 @@ use murmurate::senses::Scanner;
 
 /// Number of environments that a thread takes at a time.
 const CHUNK: usize = 32;
-
-/// Buffers that a step fills, in row-major order. N is the number of environments, R that of robots in each, F that of
-/// floats of an observation, and M that of floats of a message.
-#[derive(Debug)]
-pub struct Buffers<'a> {
-    /// Observations \[N, R, F\]: pairs of floats \[m\] in the policy frame, after a reset where there was one.
-    pub observation: &'a mut [f32],
-    /// Observations \[N, R, F\] before a reset: where an episode has ended, its last ones.
-    pub last_observation: &'a mut [f32],
-    /// Rewards of the robots for the step \[N, R\].
-    pub reward: &'a mut [f32],
-    /// Whether the episode has ended because all robots have arrived \[N\].
-    pub terminated: &'a mut [bool],
-    /// Whether the episode has ended because its time is over before all robots have arrived \[N\].
-    pub truncated: &'a mut [bool],
-    /// Whether each robot has arrived \[N, R\], before a reset.
-    pub arrived: &'a mut [bool],
-    /// Whether a receiver uses a message of a sender \[N, R, R\], by receiver and then by sender; empty without
-    /// messages.
-    pub heard: &'a mut [bool],
-    /// Time \[s\] since the arrival of the message in use, \[N, R, R\], by receiver and then by sender, 0 where there
-    /// is none; empty without messages.
-    pub age_s: &'a mut [f32],
-    /// Content of the message in use, \[N, R, R, M\], by receiver and then by sender, zeros where there is none; empty
-    /// without messages.
-    pub message: &'a mut [f32],
-    /// Distances along the rays of each robot's lidar \[m\], \[N, R, K\], the range for no echo, after a reset where
-    /// there was one. Rays all around are numbered in the policy frame, others in the robot's own frame. Empty without
-    /// a lidar.
-    pub scan: &'a mut [f32],
-    /// Distances before a reset \[m\], \[N, R, K\]: where an episode has ended, its last ones.
-    pub last_scan: &'a mut [f32],
-}
-
-/// Numbers of robots and floats that give the lengths of one environment's part of each buffer.
-#[derive(Clone, Copy, Debug)]
-pub struct Lengths {
-    /// Number R of robots in an environment.
-    pub robots: usize,
-    /// Number F of floats of an observation.
-    pub observation: usize,
-    /// Number M of floats of a message; 0 without messages.
-    pub message: usize,
-    /// Number K of rays of a lidar; 0 without one.
-    pub rays: usize,
-}
-
-impl Lengths {
-    fn edges(self) -> usize {
-        if self.message > 0 { self.robots * self.robots } else { 0 }
-    }
-
-    /// Returns the number of floats that an environment keeps of what its policies have put out for messages.
-    fn outputs(self, content: Content) -> usize {
-        if matches!(content, Content::Actions(_)) { HISTORY_STEPS * self.robots * self.message } else { 0 }
-    }
-}
-
-impl<'a> Buffers<'a> {
-    /// Splits off the parts of the first `environments`.
-    fn take(&mut self, environments: usize, lengths: Lengths) -> Buffers<'a> {
-        let Lengths { robots, observation, message, rays } = lengths;
-        let (rows, edges) = (environments * robots, environments * lengths.edges());
-        Buffers {
-            observation: cut(&mut self.observation, rows * observation),
-            last_observation: cut(&mut self.last_observation, rows * observation),
-            reward: cut(&mut self.reward, rows),
-            terminated: cut(&mut self.terminated, environments),
-            truncated: cut(&mut self.truncated, environments),
-            arrived: cut(&mut self.arrived, rows),
-            heard: cut(&mut self.heard, edges),
-            age_s: cut(&mut self.age_s, edges),
-            message: cut(&mut self.message, edges * message),
-            scan: cut(&mut self.scan, rows * rays),
-            last_scan: cut(&mut self.last_scan, rows * rays),
-        }
-    }
-}
 
 /// Environments that one thread advances.
 #[derive(Clone, Debug)]
@@ -136,7 +60,7 @@ impl VectorEnvironment {
     pub fn new(options: Options) -> VectorEnvironment {
         let lengths = options.lengths();
         let (robots, seed) = (lengths.robots, Seed::of_run(options.seed));
-        let outputs = lengths.outputs(options.content);
+        let outputs = options.outputs();
         let chunk = |first: usize| {
             let rows = CHUNK.min(options.environments - first);
             let scenarios = std::slice::from_ref(&options.scenario);
@@ -248,8 +172,8 @@ impl VectorEnvironment {
         let mut environment = 0;
         for chunk in chunks {
             for row in 0..chunk.streams.len() {
-                let mut one = buffers.take(1, *lengths);
                 if mask(environment) {
+                    let mut one = buffers.row(environment, *lengths);
                     chunk.observe(options, row, one.observation);
                     one.last_observation.copy_from_slice(one.observation);
                     chunk.scan(row, one.scan);
@@ -258,7 +182,9 @@ impl VectorEnvironment {
                     one.terminated.fill(false);
                     one.truncated.fill(false);
                     one.arrived.fill(false);
-                    chunk.receive(options, *lengths, row, &mut one);
+                    if chunk.hears(options, row) {
+                        chunk.receive(options, *lengths, row, &mut one);
+                    }
                 }
                 environment += 1;
             }
@@ -291,11 +217,12 @@ impl Chunk {
     }
 
     fn step(&mut self, (options, lengths): (&Options, Lengths), given: (&[f32], &[f32]), mut buffers: Buffers) {
-        for row in 0..self.streams.len() {
-            let mut one = buffers.take(1, lengths);
-            let ended = self.hold((options, lengths), (row, given), &mut one, |_| {});
-            self.go_on((options, lengths), (row, ended && options.autoreset == Autoreset::SameStep), &mut one);
+        let mut begins = [false; CHUNK];
+        for (row, begins) in begins[..self.streams.len()].iter_mut().enumerate() {
+            let ended = self.hold((options, lengths), (row, given), &mut buffers.row(row, lengths), |_| {});
+            *begins = ended && options.autoreset == Autoreset::SameStep;
         }
+        self.go_on((options, lengths), &begins[..self.streams.len()], buffers);
     }
 
     /// Advances an environment by the steps for which its action is held, and fills its parts of the buffers but for
@@ -307,16 +234,17 @@ impl Chunk {
         one: &mut Buffers,
         mut after: impl FnMut(&mut Chunk),
     ) -> bool {
-        for robot in self.environments.teams[row].range() {
-            let wanted = Vec2::new(actions[2 * robot], actions[2 * robot + 1]);
-            let task = &self.environments.tasks[robot];
-            self.velocities[robot] = self.environments.scenario(row).steer(task, wanted);
+        let range = self.environments.teams[row].range();
+        let wanted = actions[2 * range.start..2 * range.end].as_chunks::<2>().0;
+        let given = wanted.iter().zip(&self.environments.frame[range.clone()]);
+        for (velocity, (wanted, frame)) in self.velocities[range].iter_mut().zip(given) {
+            *velocity = frame.turn(Vec2::from(*wanted));
         }
         // The neutral element of addition, which zero is not: it would take the sign of a negative zero.
         one.reward.fill(-0.0);
         let mut ended = false;
         for held in 0..options.repeat {
-            if held > 0 {
+            if held > 0 && self.hears(options, row) {
                 // What arrives while an action is held is drawn as if it had been given anew.
                 self.receive(options, lengths, row, one);
             }
@@ -363,21 +291,19 @@ impl Chunk {
         if environments.teams[row].episode.lockstep {
             environments.measure(row, &mut streams[row]);
         }
-        let width = 2 * options.observation.len();
-        for (robot, to) in environments.teams[row].range().zip(to.chunks_exact_mut(width)) {
-            let TrainingTeam { first, step, messages, .. } = &environments.teams[row];
-            environments.observation(row, messages, (*step, robot - first), to);
-        }
+        environments.observations(row, 2 * options.observation.len(), to);
+    }
+
+    /// Whether messages of an environment's robots matter. Safety filters know of other robots what messages say,
+    /// whether or not there is a buffer for them.
+    fn hears(&self, options: &Options, row: usize) -> bool {
+        options.content != Content::Nothing || self.environments.teams[row].episode.filtered
     }
 
     /// Writes the messages that an environment's robots use in their next decision.
     fn receive(&mut self, options: &Options, lengths: Lengths, row: usize, to: &mut Buffers) {
         let Chunk { environments, streams, outputs, .. } = self;
-        // Safety filters know of other robots what messages say, whether or not there is a buffer for them.
         let silent = options.content == Content::Nothing;
-        if silent && !environments.teams[row].episode.filtered {
-            return;
-        }
         to.heard.fill(false);
         to.age_s.fill(0.0);
         to.message.fill(0.0);

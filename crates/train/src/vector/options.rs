@@ -4,8 +4,9 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::Lengths;
+use super::buffers::Lengths;
 use crate::config::{Conditions, Reward};
+use crate::message_buffer::HISTORY_STEPS;
 use crate::reward::has_reward;
 use murmurate::chassis::{self, Chassis};
 use murmurate::config::{ConfigError, in_range};
@@ -153,6 +154,14 @@ impl Options {
         };
         let rays = self.lidar.as_ref().map_or(0, |lidar| lidar.scanner().map_or(0, |scanner| scanner.rays()));
         Lengths { robots: self.scenario.robots(), observation, message, rays }
+    }
+
+    /// Returns the number of floats that an environment keeps of what its policies have put out for messages.
+    pub(super) fn outputs(&self) -> usize {
+        match self.content {
+            Content::Actions(floats) => HISTORY_STEPS * self.scenario.robots() * floats,
+            Content::Nothing | Content::Observations => 0,
+        }
     }
 
     /// Returns the largest number of decisions in an episode, each held for `repeat` steps.

@@ -1,7 +1,7 @@
 //! Steps in two phases, between which a caller judges the environments: it may give rewards, end episodes, and make the
 //! layouts of those that begin. Also what the caller judges, the true states of the teams.
 
-use super::{Buffers, Chunk, Lengths, Options, VectorEnvironment, stream_of};
+use super::{Buffers, CHUNK, Chunk, Lengths, Options, VectorEnvironment, stream_of};
 use crate::environments::next_episode;
 use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::messages::local::Contacts;
@@ -46,9 +46,9 @@ impl VectorEnvironment {
             let robots = chunk.environments.position.len();
             chunk.before.resize(robots, (Contacts::default(), 0.0));
             for row in 0..chunk.streams.len() {
-                let mut one = buffers.take(1, lengths);
+                let one = &mut buffers.row(row, lengths);
                 chunk.forget(options, row);
-                chunk.hold((options, lengths), (row, given), &mut one, |chunk| chunk.touch(row));
+                chunk.hold((options, lengths), (row, given), one, |chunk| chunk.touch(row));
             }
         });
     }
@@ -57,13 +57,10 @@ impl VectorEnvironment {
     /// true, and fills observations, scans and messages.
     pub fn go_on(&mut self, begins: &[bool], mut buffers: Buffers) {
         let VectorEnvironment { options, lengths, chunks } = self;
-        let mut environment = 0;
-        for chunk in chunks {
-            for row in 0..chunk.streams.len() {
-                let mut one = buffers.take(1, *lengths);
-                chunk.go_on((options, *lengths), (row, begins[environment]), &mut one);
-                environment += 1;
-            }
+        assert_eq!(begins.len(), options.environments);
+        for (chunk, begins) in chunks.iter_mut().zip(begins.chunks(CHUNK)) {
+            let buffers = buffers.take(chunk.streams.len(), *lengths);
+            chunk.go_on((options, *lengths), begins, buffers);
         }
     }
 
@@ -79,7 +76,7 @@ impl VectorEnvironment {
     pub fn states(&self, mask: impl Fn(usize) -> bool) -> TeamStates {
         let mut states = TeamStates::default();
         for environment in (0..self.options.environments).filter(|environment| mask(*environment)) {
-            let (chunk, row) = (&self.chunks[environment / super::CHUNK], environment % super::CHUNK);
+            let (chunk, row) = (&self.chunks[environment / CHUNK], environment % CHUNK);
             chunk.add_states(&self.options, row, &mut states);
         }
         states
@@ -99,23 +96,22 @@ fn next_layout(options: &Options, mut stream: Stream) -> LayoutKey {
 }
 
 impl Chunk {
-    /// Starts the next episode of an environment if it `begins`, and fills what the robots observe and hear before
+    /// Starts the next episode of each environment that `begins`, and fills what the robots observe and hear before
     /// their next decision.
-    pub(super) fn go_on(
-        &mut self,
-        (options, lengths): (&Options, Lengths),
-        (row, begins): (usize, bool),
-        one: &mut Buffers,
-    ) {
-        if begins {
-            self.start(options, row);
-            self.observe(options, row, one.observation);
-            self.scan(row, one.scan);
-        } else {
-            one.observation.copy_from_slice(one.last_observation);
-            one.scan.copy_from_slice(one.last_scan);
+    pub(super) fn go_on(&mut self, (options, lengths): (&Options, Lengths), begins: &[bool], mut buffers: Buffers) {
+        buffers.observation.copy_from_slice(buffers.last_observation);
+        buffers.scan.copy_from_slice(buffers.last_scan);
+        for (row, begins) in begins.iter().enumerate() {
+            if *begins {
+                let one = buffers.row(row, lengths);
+                self.start(options, row);
+                self.observe(options, row, one.observation);
+                self.scan(row, one.scan);
+            }
+            if self.hears(options, row) {
+                self.receive(options, lengths, row, &mut buffers.row(row, lengths));
+            }
         }
-        self.receive(options, lengths, row, one);
     }
 
     /// Adds the contacts of the last 50 ms of an environment to those of the step.

@@ -8,16 +8,16 @@ impl Chunk {
     /// `body`. Without a lidar it does nothing.
     pub(super) fn scan(&mut self, row: usize, to: &mut [f32]) {
         let Chunk { environments, streams, scanner: Some(scanner), .. } = self else { return };
-        let (range, scenario, sweep) = (environments.teams[row].range(), environments.scenario(row), *scanner.sweep());
-        for (robot, to) in range.clone().zip(to.chunks_exact_mut(scanner.rays())) {
-            let heading = environments.heading(robot);
-            let ahead = if sweep.around { scenario.frame(&environments.tasks[robot]).turn_angle(0.0) } else { heading };
-            let pose = (environments.position[robot], heading, ahead);
-            let others = range.clone().filter(|other| *other != robot).map(|other| environments.position[other]);
-            scanner.scan(&environments.arena_now(row), pose, others, to);
+        let (first, team) = (environments.teams[row].first, &environments.position[environments.teams[row].range()]);
+        let (arena, sweep) = (&*environments.arena_now(row), *scanner.sweep());
+        for ((robot, centre), to) in team.iter().enumerate().zip(to.chunks_exact_mut(scanner.rays())) {
+            let heading = environments.heading(first + robot);
+            let ahead = if sweep.around { environments.frame[first + robot].turn_angle(0.0) } else { heading };
+            let others = team.iter().enumerate().filter(|(other, _)| *other != robot).map(|(_, other)| *other);
+            scanner.scan(arena, (*centre, heading, ahead), others, to);
             scanner.disturb(&mut streams[row], to);
-            to.iter_mut().for_each(|distance| *distance = distance.min(sweep.range_m));
         }
+        to.iter_mut().for_each(|distance| *distance = distance.min(sweep.range_m));
     }
 }
 

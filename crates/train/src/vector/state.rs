@@ -308,7 +308,7 @@ impl VectorEnvironment {
     /// Returns the length of the numbers of a state \[bytes\].
     fn numbers(&self) -> usize {
         let Lengths { robots, observation, message, rays } = self.lengths;
-        let (edges, outputs) = (self.lengths.edges(), self.lengths.outputs(self.options.content));
+        let (edges, outputs) = (self.lengths.edges(), self.options.outputs());
         let floats = 2 * robots * (observation + rays) + robots + edges * (1 + message) + outputs;
         self.options.environments * (4 * floats + 2 + robots + edges)
     }
