@@ -22,7 +22,7 @@ use murmurate_report::summary::{CostName, Run, Summary};
 use serde::Serialize;
 
 use self::setup::Setup;
-use self::trial::Defined;
+use self::trial::{Defined, Elsewhere};
 use crate::jobs;
 use crate::picture;
 use crate::picture::Pictures;
@@ -79,12 +79,7 @@ impl Args {
     }
 
     /// Returns the trial of `policy` (`None` for the scenario's default policy), and the policy's name in reports.
-    fn trial(
-        &self,
-        policy: Option<&Path>,
-        registry: &Registry,
-        place: &dyn Fn(&Path) -> Option<PathBuf>,
-    ) -> Result<(Trial, String)> {
+    fn trial(&self, policy: Option<&Path>, registry: &Registry, place: Elsewhere) -> Result<(Trial, String)> {
         let Defined { mut trial, policy, warnings } =
             trial::of_flags(&self.setup, (self.seed, self.episodes()), policy, (registry, place))?;
         for warning in warnings.iter().filter(|_| !self.quiet) {
@@ -235,12 +230,7 @@ fn records(args: &Args, trials: &[(Trial, String)]) -> Result<Option<Simulated>>
 
 /// Returns the trial of a recorded simulation, from the recorded arguments of `sim` and the index of its repeat.
 /// `place` returns the place of a file that the record has under another path.
-pub fn of_record(
-    arguments: &[String],
-    repeat: u32,
-    registry: &Registry,
-    place: &dyn Fn(&Path) -> Option<PathBuf>,
-) -> Result<Trial> {
+pub fn of_record(arguments: &[String], repeat: u32, registry: &Registry, place: Elsewhere) -> Result<Trial> {
     let wrong = |error: clap::Error| BadInput(format!("the record's arguments are not understood: {error}"));
     let command = Args::augment_args(clap::Command::new("sim"));
     let found = command.try_get_matches_from(arguments).map_err(wrong)?;

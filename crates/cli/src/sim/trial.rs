@@ -69,6 +69,9 @@ fn refused(args: &Setup, fitted: &Conditions, file: Option<&Deployment>, error: 
     size::refused(error, &flags, &files)
 }
 
+/// Returns the place of a file that is elsewhere than its path says, such as one of a record; `None` if it is there.
+pub type Elsewhere<'a> = &'a dyn Fn(&Path) -> Option<PathBuf>;
+
 /// Trial that flags define.
 pub struct Defined {
     /// The trial; all other trials of its policy are repeats of it.
@@ -85,7 +88,7 @@ pub fn of_flags(
     args: &Setup,
     (seed, episodes): (u64, u32),
     policy: Option<&Path>,
-    (registry, place): (&Registry, &dyn Fn(&Path) -> Option<PathBuf>),
+    (registry, place): (&Registry, Elsewhere),
 ) -> Result<Defined> {
     let registry = &with_changed_task(args, registry)?;
     let read = |path: &PathBuf| {
@@ -184,12 +187,7 @@ fn layouts(path: &Path, (args, episodes): (&Setup, u32), scenario: &dyn Scenario
 
 /// Returns the deployment with the senses and roles of the files that the flags name. `place` returns another place of
 /// a policy of a role.
-fn of_files(
-    args: &Setup,
-    mut deployment: Deployment,
-    registry: &Registry,
-    place: &dyn Fn(&Path) -> Option<PathBuf>,
-) -> Result<Deployment> {
+fn of_files(args: &Setup, mut deployment: Deployment, registry: &Registry, place: Elsewhere) -> Result<Deployment> {
     if let Some(path) = &args.senses {
         deployment = perceiving((args, path), deployment, registry)?;
     }
