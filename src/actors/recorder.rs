@@ -191,9 +191,9 @@ impl Recorder {
     }
 
     /// Whether each latent is followed from its publication to the control steps that use it: in running episodes, if
-    /// the report contains steps. It takes time, so it is left out otherwise.
+    /// the report needs it.
     fn follows_messages(&self) -> bool {
-        self.config.steps.kept() && self.phase == Phase::Running
+        self.config.steps.follow_messages() && self.phase == Phase::Running
     }
 
     fn receive(&mut self, now: Time, message: &Wire, out: &mut Vec<Out>) {

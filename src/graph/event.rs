@@ -96,7 +96,7 @@ impl Events {
             recorder: recorder.cloned(),
             alone: !emulated,
             judge_of_readings: trial.deployment.judge_of_readings(),
-            followed: links.map(|link| trial.steps.kept() && link.carries.contains(&Kind::Latent)).collect(),
+            followed: links.map(|link| trial.steps.follow_messages() && link.carries.contains(&Kind::Latent)).collect(),
         }
     }
 

@@ -211,7 +211,7 @@ fn wire_robot(
     let make = move |incarnation| Cache::new(config, seed.stream(&format!("cache/{id}/range/{incarnation}")));
     let (agent, controller) = (graph.agents[at].clone(), graph.controllers[at].clone());
     let watched = trial.safety.own_state == Switch::On;
-    let (events, observed) = (Rc::clone(&graph.events), trial.steps.kept());
+    let (events, observed) = (Rc::clone(&graph.events), trial.steps.follow_messages());
     let host = graph.routes.agent_host(robot);
     let status = graph.status_of(host);
     start(clock, &graph.caches[at], info_span!("cache", robot = id), make, move |out| match out {

@@ -34,13 +34,20 @@ pub enum Steps {
     /// The report contains the steps and, for each step, which robot uses the messages of which others, their ages, and
     /// the newest values of the robots' senses. It takes several times the memory of `Reported`; it is for pictures.
     WithHearing,
-    /// The report does not contain the steps; episodes are judged by them all the same.
+    /// The report does not contain the steps, but how many messages between robots arrived, and how old they were.
+    Followed,
+    /// The report contains neither; episodes are judged by the steps all the same.
     Discarded,
 }
 
 impl Steps {
     /// Whether the report contains the steps, with or without the neighbours' messages that robots use in them.
     pub(crate) fn kept(self) -> bool {
+        matches!(self, Steps::Reported | Steps::WithHearing)
+    }
+
+    /// Whether each message between robots is followed to the control steps that use it, which takes time.
+    pub(crate) fn follow_messages(self) -> bool {
         self != Steps::Discarded
     }
 }

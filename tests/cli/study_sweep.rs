@@ -96,6 +96,20 @@ fn a_killed_sweep_and_one_in_parts_have_the_files_of_one_that_ran_through() {
 }
 
 #[test]
+fn an_axis_without_an_effect_is_told() {
+    let place = Place::new();
+    let conditions = place.at("conditions.toml");
+    std::fs::write(&conditions, "lag_s = 0.1\n").expect("it can be written");
+    let said = |args: &[&str]| {
+        let sweep = sweep(&["conditions.lag_s=0.1,0.4"]);
+        text(&done(&words(&sweep), &[&["--plant", "rigid", "--conditions", &conditions], args].concat()).stderr)
+    };
+    assert!(!said(&[]).contains("warning"));
+    let covered = said(&["--lag-s", "0.3"]);
+    assert!(covered.contains("warning: the points '0.1' and '0.4' are one simulation"), "{covered}");
+}
+
+#[test]
 fn a_changed_file_is_another_sweep() {
     let place = Place::new();
     let (task, out) = (place.at("task.toml"), place.at("out"));
@@ -123,9 +137,15 @@ fn wrong_axes_are_refused_before_anything_is_computed() {
     wrong(&["telepathy=4"], &[], &["no flag '--telepathy'"]);
     wrong(&["repeats=4"], &[], &["repeats is no axis"]);
     wrong(&["latent-rate-hz=0"], &[], &["latent-rate-hz=0", "0 is not 0.1 to 1000"]);
-    wrong(&["radio.retries=3"], &[], &["--radio", "missing"]);
+    for flag in ["conditions", "faults", "radio", "roles", "scenario", "senses"] {
+        wrong(&[&format!("{flag}.some.field=3")], &[], &[&format!("--{flag}: it names no file")]);
+    }
+    wrong(&["faults.some.field=3"], &["--faults", "7"], &["--faults: it names no file"]);
+    wrong(&["deployment.gap_m=1.5"], &[], &["a mode takes its size from", "--gap-m"]);
+    let modes = ["study", "sweep", "--axis", "mode=onboard-adhoc,sim", "--latent-rate-hz", "5"];
+    refuses(&modes, &["--axis mode=sim: --latent-rate-hz", "no latent message"]);
+    wrong(&["scenario=passage,flocking"], &[], &["some points have goals and others a cost"]);
     wrong(&["radio.telepathy=3"], &["--radio", "wifi"], &["--axis radio.telepathy=3", "telepathy"]);
-    wrong(&["scenario.hull_m=0.1"], &[], &["'passage' is no task file"]);
     wrong(&["robots=4"], &["--policy", "shipped", "--policy", "orca"], &["--policy", "axis policy="]);
     wrong(&["robots=4"], &["--policy", "/nowhere/policy"], &["/nowhere/policy"]);
     refuses(&["study", "sweep"], &["--axis"]);

@@ -83,9 +83,6 @@ pub fn impaired(deployment: Deployment, (delay_ms, loss): (f64, f64), impair: Im
 /// Adds a radio to the links of a deployment. `given` is the name of a radio preset, the path of a radio file, or
 /// `none`. Fields of the radio are changed by `changes`.
 pub fn with_radio(deployment: Deployment, given: &str, changes: &Changes) -> Result<Deployment> {
-    if given == "none" && changes.concern("radio") {
-        return Err(BadInput("--radio: missing; a field of it changes".to_owned()).into());
-    }
     if given == "none" {
         return Ok(deployment);
     }

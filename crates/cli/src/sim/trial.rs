@@ -90,6 +90,7 @@ pub fn of_flags(
     policy: Option<&Path>,
     (registry, place): (&Registry, Elsewhere),
 ) -> Result<Defined> {
+    check_changes(args)?;
     let registry = &with_changed_task(args, registry)?;
     let read = |path: &PathBuf| {
         let text = args.changes.read("deployment", path, "deployment file")?;
@@ -111,8 +112,9 @@ pub fn of_flags(
     deployment = of_files(args, deployment, registry, place)?.for_task(scenario.task_file());
     check_pace(&deployment, registry)?;
     deployment = network(args, fitted, deployment)?;
-    deployment.latent_rate_hz = args.latent_rate_hz.or(deployment.latent_rate_hz);
-    deployment.check().map_err(|e| BadInput(format!("--latent-rate-hz: {e}")))?;
+    if let Some(rate_hz) = args.latent_rate_hz {
+        deployment = deployment.with_latent_rate(rate_hz).map_err(|e| BadInput(format!("--latent-rate-hz: {e}")))?;
+    }
     deployment.placement = args.placement.unwrap_or(deployment.placement);
     if let Some(plant) = args.plant.clone().or_else(|| fitted.plant.clone()) {
         deployment.plant = plant;
@@ -148,15 +150,29 @@ pub fn of_flags(
     Ok(Defined { trial, policy, warnings })
 }
 
+/// Checks that the files whose fields change are given.
+fn check_changes(args: &Setup) -> Result<()> {
+    let faults = args.faults.as_deref().is_some_and(|given| given.parse::<u64>().is_err());
+    let given = [
+        ("conditions", args.conditions.is_some()),
+        ("faults", faults),
+        ("radio", args.radio != "none"),
+        ("roles", args.roles.is_some()),
+        ("scenario", args.scenario.ends_with(".toml")),
+        ("senses", args.senses.is_some()),
+    ];
+    match given.into_iter().find(|(flag, given)| !given && args.changes.concern(flag)) {
+        None => Ok(()),
+        Some((flag, _)) => bad(format!("--{flag}: it names no file, and a field of its file changes")),
+    }
+}
+
 /// Returns the registry with the task file of `--scenario` as it is with changed fields.
 fn with_changed_task(args: &Setup, registry: &Registry) -> Result<Registry> {
     if !args.changes.concern("scenario") {
         return Ok(registry.clone());
     }
     let path = &args.scenario;
-    if !path.ends_with(".toml") {
-        return bad(format!("--scenario: '{path}' is no task file (FILE.toml), and a field of it changes"));
-    }
     let wrong = |error: ConfigError| BadInput(format!("the task file '{path}': {error}"));
     let task = TaskFile::read(&args.changes.read("scenario", Path::new(path), "task file")?).map_err(wrong)?;
     registry.check_senses(&task).map_err(wrong)?;
@@ -170,7 +186,12 @@ fn preset(args: &Setup, robots: usize, registry: &Registry) -> Result<Deployment
         return Ok(preset);
     }
     let text = args.changes.over("deployment", preset.to_toml())?;
-    conditions::deployment(&text, Path::new(&args.mode), registry)
+    let changed = conditions::deployment(&text, Path::new(&args.mode), registry)?;
+    let size = |deployment: &Deployment| (deployment.robots, deployment.settings());
+    if size(&changed) != size(&preset) {
+        return bad("deployment: a mode takes its size from --robots, --gap-m, --scale and --hull-m".to_owned());
+    }
+    Ok(changed)
 }
 
 /// Returns the layouts of the episodes of a file.

@@ -9,6 +9,7 @@ pub mod table;
 
 use murmurate::results::episode::Episode;
 use murmurate::results::listening::Listening;
+use murmurate::results::totals::Steps;
 use murmurate::trial::Trial;
 use serde::{Deserialize, Serialize};
 
@@ -117,7 +118,8 @@ impl Sweep {
     /// Builds one trial of the sweep, ready to run.
     pub fn trial(&self, job: Job) -> Trial {
         // Delivery is counted at all receivers, as on real links.
-        Trial { repeat: job.repeat, everywhere: true, ..self.points[job.point].trial.clone() }.keeping_steps()
+        let (repeat, steps) = (job.repeat, Steps::Followed);
+        Trial { repeat, steps, everywhere: true, ..self.points[job.point].trial.clone() }
     }
 
     /// Returns the number of episodes of all trials.

@@ -1,5 +1,7 @@
 //! Report of a sweep: its figure and its HTML page.
 
+use std::collections::BTreeSet;
+
 use murmurate::config::shown::counted;
 use murmurate_report::figures::page::{self, Part};
 use murmurate_report::figures::{Figure, FigureError, Line, Panel, Point};
@@ -8,12 +10,14 @@ use super::results::{Results, Row};
 use super::table::{self, has_costs};
 use super::{Axis, Sweep};
 
-/// Returns the names of the lines of the figure: the values on the second axis, or else the only policy.
+/// Returns the names of the lines of the figure: the values on the second axis, or else the policy if it is one.
 fn lines(sweep: &Sweep) -> Vec<String> {
-    match &sweep.axes[..] {
-        [_, Axis { name, values }] => values.iter().map(|value| format!("{name} {value}")).collect(),
-        _ => sweep.points.first().map(|point| point.policy.clone()).into_iter().collect(),
+    if let [_, Axis { name, values }] = &sweep.axes[..] {
+        return values.iter().map(|value| format!("{name} {value}")).collect();
     }
+    let policies: BTreeSet<&str> = sweep.points.iter().map(|point| point.policy.as_str()).collect();
+    let one = policies.first().filter(|_| policies.len() == 1);
+    vec![one.map_or("each point's own policy".to_owned(), |policy| (*policy).to_owned())]
 }
 
 /// Returns a panel with a line for each value on the second axis; `point` is what it shows of a row.
@@ -74,7 +78,7 @@ pub fn page(sweep: &Sweep, results: &Results, figure: &Figure) -> String {
                   makespan of the successes with its quartiles. 'within 50 ms': messages between robots that arrived \
                   within 50 ms, of all expected deliveries.";
     let identity = sweep.identity();
-    let policies: std::collections::BTreeSet<&str> = sweep.points.iter().map(|point| point.policy.as_str()).collect();
+    let policies: BTreeSet<&str> = sweep.points.iter().map(|point| point.policy.as_str()).collect();
     let terms = vec![
         ("program".to_owned(), format!("murmurate {}, build {}", identity.version, identity.build)),
         ("digest of the conditions".to_owned(), identity.conditions),

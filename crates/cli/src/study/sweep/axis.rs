@@ -31,7 +31,14 @@ impl FromStr for GivenAxis {
         let (name, values) = text.split_once('=').ok_or_else(wrong)?;
         let name = name.trim_start_matches("--").trim();
         let place = place(name)?;
-        let values = split(values);
+        if values.contains(char::is_control) {
+            return Err(format!("{name}: a value has a control character"));
+        }
+        let values = split(values).ok_or_else(|| format!("{name}: a bracket or quote is not closed"))?;
+        let bare = |value: String| value.trim_matches('"').to_owned();
+        // A flag's value is text already.
+        let values: Vec<String> =
+            if matches!(place, Place::Flag(_)) { values.into_iter().map(bare).collect() } else { values };
         if values.iter().any(String::is_empty) {
             return Err(wrong());
         }
@@ -64,8 +71,8 @@ fn place(name: &str) -> Result<Place, String> {
     Ok(Place::Flag(name.to_owned()))
 }
 
-/// Splits values at the commas outside of brackets and quotes.
-fn split(text: &str) -> Vec<String> {
+/// Splits values at the commas outside of brackets and quotes; `None` if one of these is left open.
+fn split(text: &str) -> Option<Vec<String>> {
     let (mut values, mut depth, mut quoted) = (vec![String::new()], 0_i32, false);
     for sign in text.chars() {
         match sign {
@@ -80,7 +87,7 @@ fn split(text: &str) -> Vec<String> {
             values.last_mut().expect("there is a first one").push(sign);
         }
     }
-    values.into_iter().map(|value| value.trim().to_owned()).collect()
+    (depth == 0 && !quoted).then(|| values.into_iter().map(|value| value.trim().to_owned()).collect())
 }
 
 #[cfg(test)]
@@ -96,6 +103,8 @@ mod tests {
         );
         let axis: GivenAxis = "scenario.walls.0.at=[1,2],[3,4]".parse().expect("it is an axis");
         assert_eq!(axis.axis.values, ["[1,2]", "[3,4]"]);
+        let axis: GivenAxis = "policy=\"a,b\",c".parse().expect("it is an axis");
+        assert_eq!(axis.axis.values, ["a,b", "c"]);
         let field = ["walls", "0", "at"].map(str::to_owned).to_vec();
         assert_eq!(axis.place, Place::Field { flag: "scenario".to_owned(), field });
         for (wrong, says) in [
@@ -107,6 +116,9 @@ mod tests {
             ("episodes=5", "equal numbers of episodes"),
             ("policy.hold_s=1", "there is no 'policy.hold_s'"),
             ("radio.=1", "there is no 'radio.'"),
+            ("radio.noise=[1,2", "is not closed"),
+            ("robots=1]", "is not closed"),
+            ("radio.retries=3\nx = 1", "control character"),
         ] {
             let error = wrong.parse::<GivenAxis>().expect_err(wrong);
             assert!(error.contains(says) && !error.contains('\n'), "{wrong}: {error}");

@@ -6,7 +6,7 @@ mod files;
 mod given;
 mod place;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,6 +15,7 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use murmurate::config::shown::counted;
 use murmurate::registry::Registry;
+use murmurate::trial::Trial;
 use murmurate_study::sweep::results::{Results, Row};
 use murmurate_study::sweep::{Job, NAME, Point, PointRecord, Sweep, table};
 use serde::Serialize;
@@ -98,6 +99,20 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
 }
 
+/// Returns the values of the first two points that are one simulation; `None` if all differ.
+fn equal(points: &[Point]) -> Option<[String; 2]> {
+    let mut seen = BTreeMap::new();
+    points.iter().find_map(|point| {
+        let Trial { deployment, physics, scenario, clamp, safety, handling, .. } = &point.trial;
+        let Trial { step_takes, estimator, range, faults, models, .. } = &point.trial;
+        let task = (scenario.name(), scenario.task_file().map(|file| file.digest()), deployment.to_toml());
+        let rest = (physics, clamp, safety, handling, step_takes, range, estimator.name, models.mark());
+        let key = format!("{task:?} {rest:?} {faults:?} {:?}", point.policy);
+        let other = seen.insert(key, point.at.join(", "))?;
+        Some([other, point.at.join(", ")])
+    })
+}
+
 impl Args {
     /// Returns the sweep as the flags define it. An error names the axis and its value, or the flag.
     fn sweep(&self, registry: &Registry) -> Result<Sweep> {
@@ -127,6 +142,13 @@ impl Args {
                     }
                 }
             }
+        }
+        let costs = points.iter().filter(|point| point.trial.scenario.cost().is_some()).count();
+        if costs > 0 && costs < points.len() {
+            return bad("--axis: some points have goals and others a cost, which cannot be compared".to_owned());
+        }
+        if let (Some([one, other]), false) = (equal(&points), self.run.quiet) {
+            talk(&format!("warning: the points '{one}' and '{other}' are one simulation: an axis has no effect there"));
         }
         let repeats = self.given.at(&[])?.repeats();
         let setting: Vec<String> = self.given.words().map(|(flag, value)| format!("--{flag} {value}")).collect();

@@ -1,6 +1,6 @@
 //! Quantity that an axis of a sweep varies, and its values.
 
-use toml::{Table, Value};
+use toml::Value;
 
 /// Quantity that an axis varies.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -18,8 +18,7 @@ pub enum Place {
 
 /// Returns a value as it would be written in a file (TOML); text needs no quotes.
 pub fn toml_value(text: &str) -> Value {
-    let read = format!("value = {text}").parse::<Table>().ok();
-    read.and_then(|mut table| table.remove("value")).unwrap_or_else(|| Value::String(text.to_owned()))
+    text.parse().unwrap_or_else(|_| Value::String(text.to_owned()))
 }
 
 #[cfg(test)]
