@@ -200,6 +200,36 @@ def test_episodes_of_equal_layouts_lose_other_words():
     assert heard(3) == heard(3) != first
 
 
+def test_wrappers_of_mpe_go_around_the_channel():
+    module = need("mpe2.simple_reference_v3")
+    from pettingzoo.utils.wrappers import BaseParallelWrapper
+
+    from murmurate.pettingzoo import spoken
+
+    class Scaled(BaseParallelWrapper):
+        pass
+
+    with pytest.raises(ValueError, match="env: Scaled is beneath the channel: .* wrap what spoken"):
+        spoken(Scaled(module.parallel_env()))
+    assert set(Scaled(spoken(module.parallel_env())).reset(seed=1)[0]) == {"agent_0", "agent_1"}
+
+
+def test_wrong_actions_change_nothing_in_mpe():
+    module = need("mpe2.simple_reference_v3")
+    from murmurate.pettingzoo import spoken
+
+    first, other = (spoken(module.parallel_env(continuous_actions=True), delay_s=0.1) for _ in range(2))
+    for env in (first, other):
+        env.reset(seed=1)
+    actions = {agent: np.full(15, 0.5, np.float32) for agent in first.agents}
+    for wrong, words in ((np.full(15, np.nan), "it is not finite"), (np.zeros(3), "its shape is")):
+        with pytest.raises(ValueError, match=rf"actions\['agent_1'\]: {words}"):
+            first.step(actions | {"agent_1": wrong})
+    for _ in range(3):
+        seen = [env.step(actions)[0] for env in (first, other)]
+        assert all(np.array_equal(seen[0][agent], seen[1][agent]) for agent in actions)
+
+
 def test_gradients_end_where_a_segment_of_truncated_back_propagation_does():
     need("vmas")
     import torch
