@@ -26,10 +26,10 @@ def with_messages(task: TaskClass, *, group: str = "agents", **options: Any) -> 
     """Returns a task of BenchMARL whose agents say what they observe, over a :class:`murmurate.Channel`.
 
     An algorithm of BenchMARL has one action, so that agents choose no message. They say their observation, and a network
-    encodes it at the receiver, :class:`HeardGnnConfig`: that is the latent of the sender, whose network is the same. Set
+    encodes it at the receiver, :class:`HeardGnnConfig`: that is the latent of the sender, by the sender's encoder. Set
     ``bytes`` to the length that the latent has. Models get ``messages`` as (R, R * F)::
 
-        task = with_messages(VmasTask.NAVIGATION.get_from_yaml(), radio="wifi", bytes=168, position=positions_of)
+        task = with_messages(VmasTask.NAVIGATION.get_from_yaml(), radio="wifi", bytes=168, period_s=0.1)
 
     Args:
         task: Task of BenchMARL with a batch of environments, such as those of VMAS.

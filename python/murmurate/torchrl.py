@@ -113,7 +113,7 @@ class Messages(Transform):
     message that it has of each other one, whether there is one, and the time since it was sent [s]. All are by receiver and
     then by sender. The environment itself does not know of messages::
 
-        env = TransformedEnv(VmasEnv("navigation", num_envs=64), Messages(8, radio="wifi", position=positions_of))
+        env = TransformedEnv(VmasEnv("navigation", num_envs=64), Messages(8, radio="wifi", period_s=0.1))
 
     With ``said`` agents also say what is known of them, so that others learn from messages what a simulator would tell at
     once: ``Messages(said=positions_of)`` is where each one was, ``Messages(said="observation")`` is what it has observed, of
