@@ -154,9 +154,9 @@ def compare(task, seeds, updates, say=print, out=None):
             minutes = (time.time() - begin) / 60
             say(f"{task}, seed {seed}, trained {row['trained']:8} {row['radio']:.3f} m on the radio, {row['at once']:.3f} m"
                 f" without, {minutes:.1f} min")
-    if out:
-        with open(out, "w") as file:
-            json.dump(rows, file)
+            if out:
+                with open(out, "w") as file:
+                    json.dump(rows, file)
     for trained in ("at once", "radio"):
         for judge in ("radio", "at once"):
             mean, half = interval([row[judge] for row in rows if row["trained"] == trained])

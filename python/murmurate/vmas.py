@@ -118,7 +118,7 @@ class _Spoken(BaseScenario):
             return super().observation(agent)
 
     def _zero_grad(self) -> None:
-        """What ``zero_grad`` of the world does, which ends a segment of truncated back-propagation, also for what was said."""
+        """Ends a segment of truncated back-propagation, as ``zero_grad`` of a world does, also for what was said."""
         type(self.world).zero_grad(self.world)
         self._keep(said.detach() for said in self._said)
         self._heard = self._heard.detach()
