@@ -26,10 +26,10 @@ def with_messages(task: TaskClass, *, group: str = "agents", **options: Any) -> 
     """Returns a task of BenchMARL whose agents say what they observe, over a :class:`murmurate.Channel`.
 
     An algorithm of BenchMARL has one action, so that agents choose no message. They say their observation, and a network
-    encodes it at the receiver, :class:`HeardGnnConfig`: that is the latent of the sender, whose network is the same. Set
+    encodes it at the receiver, :class:`HeardGnnConfig`: that is the latent of the sender, by the sender's encoder. Set
     ``bytes`` to the length that the latent has. Models get ``messages`` as (R, R * F)::
 
-        task = with_messages(VmasTask.NAVIGATION.get_from_yaml(), radio="wifi", bytes=168, position=positions_of)
+        task = with_messages(VmasTask.NAVIGATION.get_from_yaml(), radio="wifi", bytes=168, period_s=0.1)
 
     Args:
         task: Task of BenchMARL with a batch of environments, such as those of VMAS.
@@ -89,12 +89,17 @@ class HeardGnn(Model):
         said = said.unflatten(-1, (self.n_agents, own.shape[-1]))[heard]
         nodes = own.reshape(-1, own.shape[-1])
         # What was heard is a node of its own: it is what its sender has observed then, and not now.
-        receiver = edges_of(heard)[1]
+        sender, receiver = edges_of(heard)
+        # Each of them is encoded by the agent that has observed it.
+        observed = torch.cat([nodes, said])
+        observer = torch.cat([torch.arange(len(nodes), device=sender.device), sender]) % self.n_agents
+        latents = torch.stack([encode(observed) for encode, _ in self.networks])
+        latents = latents[observer % len(self.networks), torch.arange(len(observed), device=sender.device)]
         edges = torch.stack([len(nodes) + torch.arange(len(said), device=said.device), receiver])
         options = {"edge_attr": age[heard].unsqueeze(-1)} if self.aged else {}
         results = []
-        for encode, hop in self.networks:
-            out = hop(encode(torch.cat([nodes, said])), edges, **options)
+        for _, hop in self.networks:
+            out = hop(latents, edges, **options)
             out = out[: len(nodes)].view(*own.shape[:-1], -1)
             results.append(out.mean(-2) if self.centralised else out)
         if self.share_params:
@@ -109,8 +114,8 @@ class HeardGnn(Model):
 class HeardGnnConfig(ModelConfig):
     """Graph network over messages, for tasks by :func:`with_messages`; with a sequence it is the first model.
 
-    Each agent encodes what it observes, and alike what it has heard others observe, however late that came. A convolution of
-    PyTorch Geometric joins both over the messages that an agent has; where it takes features of edges, they have their age::
+    Each agent encodes what it observes, and what it has heard others observe as they do, however late that came. A convolution
+    of PyTorch Geometric joins both over the messages that an agent has; where it takes features of edges, they have their age::
 
         model = SequenceModelConfig([HeardGnnConfig(gnn_class=GraphConv), mlp], intermediate_sizes=[32])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal
 
 from ._bound import named
@@ -72,10 +72,28 @@ def study(
     """
     with tempfile.TemporaryDirectory() as temporary:
         if axis is not None:
-            flags["axis"] = [f"{name}={','.join(map(str, values))}" for name, values in axis.items()]
+            flags["axis"] = _axes(axis)
         if "scenario" in flags:
             flags["scenario"] = named(flags["scenario"], temporary if out is None else out)
         return _run(study, records, out, executor, workers, flags)
+
+
+def _axes(axis: Any) -> list[str]:
+    """Returns the values of ``--axis``."""
+    if not isinstance(axis, Mapping):
+        raise ValueError(f"axis: a {type(axis).__name__} is no dictionary from names to lists of values")
+    return [f"{name}={','.join(_values(name, values))}" for name, values in axis.items()]
+
+
+def _values(name: str, values: Any) -> list[str]:
+    if isinstance(values, str) or not isinstance(values, Iterable):
+        raise ValueError(f"axis: '{name}' has {values!r}, which is no list of values")
+    words = []
+    for value in values:
+        if value is None:
+            raise ValueError(f"axis: a value of '{name}' is None; give the one that it stands for")
+        words.append(str(value).lower() if isinstance(value, bool) else str(value))
+    return words
 
 
 def _run(

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
+from pettingzoo.utils import wrappers
+from pettingzoo.utils.conversions import aec_to_parallel_wrapper
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 from ._faces import NO_MESSAGES, Begun, Spoken, action_of, heard_speech, refuse, seen
@@ -21,6 +23,15 @@ NOT_HERE = NO_MESSAGES | {
     "threads": "one team needs one thread",
     "autoreset": "an environment of PettingZoo waits for reset()",
 }
+
+#: Wrappers that leave observations as they are; parallel environments of MPE have some of them.
+_UNSEEN = (
+    aec_to_parallel_wrapper,
+    wrappers.AssertOutOfBoundsWrapper,
+    wrappers.CaptureStdoutWrapper,
+    wrappers.ClipOutOfBoundsWrapper,
+    wrappers.OrderEnforcingWrapper,
+)
 
 
 class parallel_env(ParallelEnv):
@@ -231,13 +242,14 @@ class spoken(BaseParallelWrapper):
         env = spoken(simple_reference_v3.parallel_env(), loss=0.2, delay_s=0.1)
 
     Args:
-        env: Parallel environment with the ``world`` and the ``scenario`` of MPE.
+        env: Parallel environment with the ``world`` and the ``scenario`` of MPE. Further wrappers go around the channel.
         bytes: Length of a datagram [bytes]; None is 4 for each float, and 40 for all else that a team says of itself.
         options: Arguments of the channel, without ``num_envs``, ``num_robots``, ``content`` and ``threads``. ``period_s`` is a
             step of the world by default, 0.1 s in MPE.
 
     Raises:
-        ValueError: An argument is wrong, or the environment's agents say nothing; the message names it.
+        ValueError: An argument is wrong, the environment's agents say nothing, or a wrapper of it may change what they observe;
+            the message names it.
     """
 
     def __init__(self, env: ParallelEnv, *, bytes: int | None = None, **options: Any) -> None:
@@ -247,6 +259,12 @@ class spoken(BaseParallelWrapper):
         speaks = [not agent.silent for agent in getattr(world, "agents", [])]
         if not any(speaks) or not world.dim_c:
             raise ValueError("env: its agents say nothing; murmurate.pettingzoo.messages adds messages to any")
+        inner = env
+        while inner is not env.unwrapped:
+            if type(inner) not in _UNSEEN:
+                why = "agents would not observe what it makes of their observations; wrap what spoken() returns"
+                raise ValueError(f"env: {type(inner).__name__} is beneath the channel: {why}")
+            inner = inner.aec_env if isinstance(inner, aec_to_parallel_wrapper) else inner.env
         self._world, self._sends = world, np.array([speaks])
         self._speech = Spoken((1, len(speaks), world.dim_c), True, bytes, {"period_s": world.dt, **options})
 
@@ -256,7 +274,15 @@ class spoken(BaseParallelWrapper):
         return self._heard(observations), infos
 
     def step(self, actions: dict[str, Any]):
-        """Sends what agents say from where they are, and advances the environment."""
+        """Sends what agents say from where they are, and advances the environment.
+
+        Raises:
+            ValueError: An action has another shape, or is not finite; the message names the agent, and nothing has changed.
+        """
+        for agent in (agent for agent in self.possible_agents if agent in actions):
+            action = action_of(f"actions['{agent}']", actions[agent], self.action_space(agent).shape)
+            if not np.isfinite(action).all():
+                raise ValueError(f"actions['{agent}']: it is not finite")
         position = np.stack([agent.state.p_pos for agent in self._world.agents])
         observations, *rest = self.env.step(actions)
         said = np.zeros(self._speech.size, np.float32)

@@ -113,7 +113,7 @@ class Messages(Transform):
     message that it has of each other one, whether there is one, and the time since it was sent [s]. All are by receiver and
     then by sender. The environment itself does not know of messages::
 
-        env = TransformedEnv(VmasEnv("navigation", num_envs=64), Messages(8, radio="wifi", position=positions_of))
+        env = TransformedEnv(VmasEnv("navigation", num_envs=64), Messages(8, radio="wifi", period_s=0.1))
 
     With ``said`` agents also say what is known of them, so that others learn from messages what a simulator would tell at
     once: ``Messages(said=positions_of)`` is where each one was, ``Messages(said="observation")`` is what it has observed, of
@@ -132,7 +132,8 @@ class Messages(Transform):
             environments: ``torch.manual_seed`` and the environment's ``set_seed`` make rollouts equal.
 
     Raises:
-        ValueError: An argument is wrong, or the environment has no batch of one dimension with such a group.
+        ValueError: An argument is wrong, or the environment has no batch of one dimension with such a group; or a step lacks
+            what agents say.
     """
 
     def __init__(
@@ -188,17 +189,20 @@ class Messages(Transform):
             raise ValueError(f"said: its shape is {list(known)} and not {list(shape)} and a number of floats")
         return known[2]
 
-    def _message(self, tensordict: TensorDictBase) -> torch.Tensor | None:
-        """What the agents say in this step (N, R, M); None if this is a call for specs or shapes, and no step."""
-        chosen = tensordict.get((self.group, "message"), None) if self.floats else None
-        if self.floats and chosen is None:
-            return None
+    def _message(self, tensordict: TensorDictBase) -> torch.Tensor:
+        """What the agents say in this step (N, R, M)."""
+        chosen = self._written(tensordict, "message") if self.floats else None
         if self.said is None:
             return chosen
-        known = self.said(self.parent.base_env) if callable(self.said) else tensordict.get((self.group, self.said), None)
-        if known is None:
-            return None
+        known = self.said(self.parent.base_env) if callable(self.said) else self._written(tensordict, self.said)
         return known if chosen is None else torch.cat([chosen.to(known), known], -1)
+
+    def _written(self, tensordict: TensorDictBase, key: str) -> torch.Tensor:
+        value = tensordict.get((self.group, key), None)
+        if value is None:
+            why = "the policy has not written it, or a transform drops it"
+            raise ValueError(f"{key}: a step has no ('{self.group}', '{key}'), which agents need to speak; {why}")
+        return value
 
     def _heard(self, tensordict: TensorDictBase) -> TensorDictBase:
         channel = self.spoken.channel
@@ -208,10 +212,10 @@ class Messages(Transform):
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         # Before the environment moves.
-        message = None if self.parent is None else self._message(tensordict)
-        if message is not None:
+        if self.parent is not None:
+            message = self._message(tensordict)
             numpy = lambda value: np.ascontiguousarray(value.detach().cpu().numpy())
-            sends = None if self.send_key is None else numpy(tensordict.get((self.group, self.send_key)).bool())
+            sends = None if self.send_key is None else numpy(self._written(tensordict, self.send_key).bool())
             position = None if self.position is None else numpy(self.position(self.parent.base_env))
             self.spoken.send(numpy(message.to(torch.float32)), position, sends=sends)
         return tensordict

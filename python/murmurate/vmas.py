@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
+import random
 from collections import deque
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -37,16 +39,18 @@ def spoken(
         ValueError: An argument is wrong; the message names it. When the environment is made, also if its agents say nothing.
     """
     refuse(options, dict.fromkeys(("num_envs", "num_robots", "content"), "it is that of the environment"))
-    kind = scenario
-    if isinstance(scenario, str):
-        kind = load(scenario if scenario.endswith(".py") else f"{scenario}.py").Scenario
-    made = _class_of(kind)()
+    if not isinstance(scenario, str) and not (isinstance(scenario, type) and issubclass(scenario, BaseScenario)):
+        raise ValueError(f"scenario: {scenario!r} is neither a name nor a class of a scenario of VMAS")
+    made = _class_of(scenario)()
     made._of, made._bytes, made._options = scenario, bytes, options
     return made
 
 
 @functools.cache
-def _class_of(kind: type[BaseScenario]) -> type[BaseScenario]:
+def _class_of(scenario: str | type[BaseScenario]) -> type[BaseScenario]:
+    kind = scenario
+    if isinstance(scenario, str):
+        kind = load(scenario if scenario.endswith(".py") else f"{scenario}.py").Scenario
     return type(f"Spoken{kind.__name__}", (_Spoken, kind), {"__doc__": kind.__doc__})
 
 
@@ -72,7 +76,12 @@ class _Spoken(BaseScenario):
         self._said = deque(maxlen=self._spoken.channel.memory)
         self._steps, self._began = 0, np.zeros(batch_dim, np.int64)
         self._heard = torch.zeros(batch_dim, len(world.agents), len(world.agents), world.dim_c, device=device)
+        world.zero_grad = self._zero_grad
         return world
+
+    def to(self, device: torch.device) -> None:
+        super().to(device)
+        self._keep(said.to(device) for said in self._said)
 
     def reset_world_at(self, env_index: int | None = None) -> None:
         super().reset_world_at(env_index)
@@ -80,9 +89,8 @@ class _Spoken(BaseScenario):
         if env_index is not None:
             channel.reset(np.arange(n) == env_index)
         elif self._options.get("seed") is None:
-            # Layouts are those without a channel: what is drawn here is drawn again.
-            with torch.random.fork_rng(devices=[]):
-                channel.reset(seed=int(torch.randint(2**62, (1,))))
+            # VMAS seeds this generator, too, and scenarios draw layouts with that of torch: they are those without a channel.
+            channel.reset(seed=random.getrandbits(62))
         else:
             channel.reset()
         if env_index is None:
@@ -109,6 +117,15 @@ class _Spoken(BaseScenario):
         with heard_speech((other.state, "c", self._heard[:, listener, at]) for at, other in others):
             return super().observation(agent)
 
+    def _zero_grad(self) -> None:
+        """Ends a segment of truncated back-propagation, as ``zero_grad`` of a world does, also for what was said."""
+        type(self.world).zero_grad(self.world)
+        self._keep(said.detach() for said in self._said)
+        self._heard = self._heard.detach()
+
+    def _keep(self, said: Iterable[torch.Tensor]) -> None:
+        self._said = deque(said, self._said.maxlen)
+
     def _length(self, world: World) -> int:
         return 40 + 4 * world.dim_c if self._bytes is None else self._bytes
 
@@ -119,11 +136,15 @@ class _Spoken(BaseScenario):
             self._heard = torch.zeros_like(self._heard)
             return
         step = self._began[:, None, None] + channel.index - self._steps + len(self._said)
+        step = np.where(channel.heard, step, 0)
+        # Most of what is remembered has been heard before, or is still on its way.
+        used = np.bincount(step.ravel(), minlength=len(self._said)) > 0
+        said = torch.stack([said for said, taken in zip(self._said, used) if taken])
         device = self.world.device
-        at = torch.from_numpy(np.where(channel.heard, step, 0)).to(device)
+        at = torch.from_numpy((np.cumsum(used) - 1)[step]).to(device)
         environment, sender = torch.arange(n, device=device)[:, None, None], torch.arange(r, device=device)
         heard = torch.from_numpy(channel.heard.copy()).to(device)
-        self._heard = torch.stack(list(self._said))[at, environment, sender] * heard.unsqueeze(-1)
+        self._heard = said[at, environment, sender] * heard.unsqueeze(-1)
 
 
 def _restored(of: str | type[BaseScenario], length: int | None, options: dict[str, Any]) -> BaseScenario:

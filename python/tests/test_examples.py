@@ -2,6 +2,7 @@
 
 import functools
 import inspect
+import json
 import pathlib
 import sys
 
@@ -98,13 +99,15 @@ def test_the_notebook_of_speech_runs_from_top_to_bottom(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("with_torch")
 @pytest.mark.parametrize("task", ["simple_speaker_listener", "simple_reference"])
-def test_agents_that_speak_are_trained_and_judged_with_and_without_a_radio(task, monkeypatch):
+def test_agents_that_speak_are_trained_and_judged_with_and_without_a_radio(task, tmp_path, monkeypatch):
     need("vmas")
     import speech
 
     monkeypatch.setattr(speech, "ENVS", 16)
     said = []
-    rows = speech.compare(task, range(2), 2, said.append)
-    assert len(rows) == 4 and len(said) == 8
+    rows = speech.compare(task, range(2), 2, said.append, tmp_path / "rows.json")
+    assert len(rows) == 4 and len(said) == 8 and len(json.loads((tmp_path / "rows.json").read_text())) == 4
+    with pytest.raises(ValueError, match="seeds: 1 is not 2 to 30"):
+        speech.compare(task, range(1), 2)
     assert all(0.1 < row[judge] < 5.0 for row in rows for judge in ("radio", "at once"))
     assert len({row["radio"] for row in rows}) == 4, "no two teams are the same"

@@ -60,6 +60,20 @@ def test_what_is_known_follows_what_the_policy_says():
             TransformedEnv(base, Messages(**options)).rollout(1)
 
 
+def test_a_step_without_what_agents_say_is_refused():
+    from torchrl.envs import Compose, ExcludeTransform
+
+    base = VmasEnv("navigation", num_envs=2, seed=0)
+    env = TransformedEnv(base, Compose(Messages(said="observation"), ExcludeTransform(("agents", "observation"))))
+    with pytest.raises(ValueError, match=r"observation: a step has no \('agents', 'observation'\)"):
+        env.rollout(2)
+    for options, key in (({}, "message"), ({"send_key": "sends"}, "sends")):
+        env = TransformedEnv(base, Messages(3, **options))
+        acted = env.rand_action(env.reset()).exclude(("agents", key))
+        with pytest.raises(ValueError, match=rf"{key}: a step has no \('agents', '{key}'\).*the policy has not written it"):
+            env.step(acted)
+
+
 def test_a_clone_has_a_channel_of_its_own():
     messages = Messages(said=positions_of)
     TransformedEnv(VmasEnv("navigation", num_envs=2, seed=0), messages).rollout(2)
@@ -129,6 +143,26 @@ def test_an_agent_acts_on_what_it_has_heard_alone(tmp_path):
     changed["agents", "messages"][:, 0, floats : 2 * floats] += 1.0
     differs = (out(changed) != first).any(-1)
     assert torch.equal(differs[:, 0], batch["agents", "heard"][:, 0, 1]) and not differs[:, 1:].any()
+
+
+def test_what_was_heard_is_encoded_as_by_its_sender(tmp_path):
+    layers = need("torch_geometric").nn
+    experiment = made(tmp_path, layers.SAGEConv, share=False, loss=0.5)
+    network = experiment.policy[0] if hasattr(experiment.policy, "__getitem__") else experiment.policy
+    batch = experiment.test_env.reset().select(*[("agents", key) for key in ("observation", "messages", "heard", "age")])
+    n, r = batch["agents"].batch_size
+    torch.manual_seed(0)
+    batch["agents", "heard"] = torch.rand(n, r, r) < 0.5
+    batch["agents", "messages"] = torch.randn(batch["agents", "messages"].shape)
+    out = lambda: network(batch.clone())["agents", "logits"].detach()
+    first = out()
+    heard_gnn = next(module for module in network.modules() if hasattr(module, "networks"))
+    with torch.no_grad():
+        heard_gnn.networks[1][0][0].bias += 1.0
+    differs = (out() != first).any(-1)
+    expected = batch["agents", "heard"][:, :, 1].clone()
+    expected[:, 1] = True
+    assert torch.equal(differs, expected), "the encoder of agent 1 matters to itself, and to who has heard it"
 
 
 def test_tasks_without_messages_are_refused(tmp_path):

@@ -15,6 +15,7 @@ from needs import need
 
 import murmurate
 from murmurate._program import finished, words_of
+from murmurate._study import _axes
 
 SMALL = {"layouts": 2, "repeats": 2, "ranges_m": [1, 2], "policy": "orca"}
 #: A training that takes seconds, most of them for its evaluations.
@@ -55,6 +56,24 @@ def test_a_sweep_in_parts_is_that_of_one_process(tmp_path):
     parts = murmurate.study("sweep", out=tmp_path / "parts", executor="processes", workers=2, **flags)
     assert parts.rows == whole.rows and same(tmp_path / "whole", tmp_path / "parts")
     assert whole.columns["at"] == [{"robots": robots, "loss": loss} for loss in (0, 0.5) for robots in (2, 3)]
+
+
+@pytest.mark.parametrize(
+    "axis, words",
+    [
+        ([("robots", [2, 3])], "axis: a list is no dictionary from names to lists of values"),
+        ({"robots": [2, None]}, "axis: a value of 'robots' is None"),
+        ({"radio": "wifi"}, "axis: 'radio' has 'wifi', which is no list of values"),
+        ({"robots": 3}, "axis: 'robots' has 3, which is no list of values"),
+    ],
+)
+def test_wrong_axes_are_refused(axis, words):
+    with pytest.raises(ValueError, match=words):
+        murmurate.study("sweep", axis=axis)
+
+
+def test_axes_write_values_as_flags_do():
+    assert _axes({"loss": (0, 0.5), "deployment.flag": [True, False]}) == ["loss=0,0.5", "deployment.flag=true,false"]
 
 
 def test_a_study_on_ray_is_that_of_one_process(tmp_path, monkeypatch):

@@ -113,6 +113,9 @@ def test_environments_with_speech_are_copied_and_stored():
     for step in range(1, 6):
         seen = [each.step(said_in(each, step))[0] for each in (env, other)]
         assert torch.equal(seen[0][0], seen[1][0])
+    assert other.world.zero_grad.__self__ is other.scenario
+    other.to("meta")
+    assert all(said.device.type == "meta" for said in [other.scenario._heard, *other.scenario._said])
     restored = make_env(pickle.loads(pickle.dumps(spoken("simple_reference", loss=1.0))), 2)
     assert restored.scenario._options == {"loss": 1.0} and not restored.step(said_in(restored, 0))[0][0][:, -10:].any()
 
@@ -127,6 +130,9 @@ def test_scenarios_that_do_not_fit_are_refused():
         spoken("simple_reference", num_envs=3)
     with pytest.raises(ValueError, match="loss: "):
         made("simple_reference", loss=2.0)
+    with pytest.raises(ValueError, match="scenario: .* is neither a name nor a class of a scenario of VMAS"):
+        spoken(spoken("simple_reference"))
+    assert type(spoken("simple_reference")) is type(spoken("simple_reference")), "a class is made once"
 
 
 @pytest.mark.parametrize("task", ["simple_speaker_listener_v4", "simple_reference_v3", "simple_crypto_v3", "simple_world_comm_v3"])
@@ -170,6 +176,78 @@ def test_what_is_said_in_mpe_is_heard_as_many_steps_later_as_its_delay():
             assert (observation[-10:] == expected).all(), step
     with pytest.raises(ValueError, match="env: its agents say nothing"):
         spoken(need("mpe2.simple_spread_v3").parallel_env())
+
+
+def test_episodes_of_equal_layouts_lose_other_words():
+    need("vmas")
+    import torch
+    from vmas.scenarios import load
+
+    class Fixed(load("simple_reference.py").Scenario):
+        def reset_world_at(self, env_index=None):
+            with torch.random.fork_rng(devices=[]):
+                torch.manual_seed(1)
+                super().reset_world_at(env_index)
+
+    env = made(Fixed, loss=0.5, hold_s=0.1)
+
+    def heard(seed=None):
+        env.reset(seed=seed)
+        return torch.stack([env.step(said_in(env, step))[0][0][:, -10:].any(1) for step in range(20)]).tolist()
+
+    first, second = heard(), heard()
+    assert first != second, "each episode has losses of its own"
+    assert heard(3) == heard(3) != first
+
+
+def test_wrappers_of_mpe_go_around_the_channel():
+    module = need("mpe2.simple_reference_v3")
+    from pettingzoo.utils.wrappers import BaseParallelWrapper
+
+    from murmurate.pettingzoo import spoken
+
+    class Scaled(BaseParallelWrapper):
+        pass
+
+    with pytest.raises(ValueError, match="env: Scaled is beneath the channel: .* wrap what spoken"):
+        spoken(Scaled(module.parallel_env()))
+    assert set(Scaled(spoken(module.parallel_env())).reset(seed=1)[0]) == {"agent_0", "agent_1"}
+
+
+def test_wrong_actions_change_nothing_in_mpe():
+    module = need("mpe2.simple_reference_v3")
+    from murmurate.pettingzoo import spoken
+
+    first, other = (spoken(module.parallel_env(continuous_actions=True), delay_s=0.1) for _ in range(2))
+    for env in (first, other):
+        env.reset(seed=1)
+    actions = {agent: np.full(15, 0.5, np.float32) for agent in first.agents}
+    for wrong, words in ((np.full(15, np.nan), "it is not finite"), (np.zeros(3), "its shape is")):
+        with pytest.raises(ValueError, match=rf"actions\['agent_1'\]: {words}"):
+            first.step(actions | {"agent_1": wrong})
+    for _ in range(3):
+        seen = [env.step(actions)[0] for env in (first, other)]
+        assert all(np.array_equal(seen[0][agent], seen[1][agent]) for agent in actions)
+
+
+def test_gradients_end_where_a_segment_of_truncated_back_propagation_does():
+    need("vmas")
+    import torch
+    from vmas import make_env
+
+    from murmurate.vmas import spoken
+
+    env = make_env(spoken("simple_reference", delay_s=0.15), 3, seed=0, grad_enabled=True)
+    words = [torch.full((3, 10), 0.5, requires_grad=True) for _ in range(6)]
+    for begin in (0, 3):
+        for word in words[begin : begin + 3]:
+            seen = env.step([torch.cat([torch.zeros(3, 2), word * word], 1), torch.zeros(3, 12)])[0]
+            if word is words[3]:
+                # Said before the end of the segment, and heard after it.
+                assert (seen[1][:, -10:] == 0.25).all() and not seen[1].requires_grad
+        seen[1][:, -10:].sum().backward()
+        env.world.zero_grad()
+    assert [0.0 if word.grad is None else float(word.grad.sum()) for word in words] == [0, 30, 0, 0, 30, 0]
 
 
 def test_gradients_reach_a_speaker_from_what_was_heard_as_late_as_it_was():

@@ -38,7 +38,6 @@ const SCALES_AND_HULLS: [(Option<f32>, Option<f32>); 9] = [
 ///   one before has ended; goals are inside the arena, apart from each other, and not yet reached at the start.
 ///   Without goals, these hold for the starts.
 /// - Channels: each has a name of its own, and its values are finite at the start.
-/// - Frames: `steer` inverts the transformation of velocities by `observe`.
 /// - Distance to go: never less than the straight distance to the goal, and zero at the goal.
 /// - Reward: finite; stages never decrease; at the goal, the reward with contacts is less than without.
 /// - Without goals (`Scenario::cost`): the cost is finite and not below zero, no robot is ever at its goal, and initial
