@@ -263,8 +263,8 @@ mod tests {
         Mapping::of_text(text).expect("it is sound")
     }
 
-    /// Poses every `spacing_ms` \[ms\] of one robot that drives along x with 1 m/s, and is 100 m farther at each change of
-    /// its labels.
+    /// Poses every `spacing_ms` \[ms\] of one robot that drives along x with 1 m/s, and is 100 m farther at each change
+    /// of its labels.
     fn poses(labels: &[Option<u32>], spacing_ms: i64) -> Vec<Pose> {
         let mut moved_m = 0.0;
         let mut before = labels[0];

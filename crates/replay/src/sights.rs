@@ -180,13 +180,14 @@ impl Reading<'_> {
                 self.sights.extend(robot.zip(percent).map(|(robot, percent)| (now, Sight::Battery(robot, percent))));
             }
             RECEIPTS => {
-                let receipt = serde_json::from_slice::<Receipt>(&message.data).ok();
-                self.receipts |= receipt.is_some();
-                let arrived = receipt.and_then(|receipt| Some((receipt, u64::try_from(receipt.received_ns?).ok()?)));
-                self.sights.extend(arrived.map(|(Receipt { from, to, .. }, at)| {
-                    let now = Time::from_nanos(at.saturating_sub(zero));
-                    (now, Sight::Arrived(HostId(to), RobotId(from)))
-                }));
+                let Ok(receipt) = serde_json::from_slice::<Receipt>(&message.data) else { return };
+                self.receipts = true;
+                let (to, from) = (HostId(receipt.to), RobotId(receipt.from));
+                self.sights.push((now, Sight::Sent(to, from)));
+                // By another clock it may have arrived before it was sent.
+                let at = receipt.received_ns.and_then(|at| u64::try_from(at).ok());
+                let at = at.map(|at| Time::from_nanos(at.saturating_sub(zero)).max(now));
+                self.sights.extend(at.map(|at| (at, Sight::Arrived(to, from))));
             }
             topic => {
                 if topic == RECEIVED {

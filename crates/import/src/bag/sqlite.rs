@@ -2,8 +2,8 @@
 //! changes the file.
 //!
 //! Source: "Database File Format", sqlite.org/fileformat2.html: header (1.3), pages of a table's B-tree (1.6), records
-//! (2.1), the schema's table (2.6). What a bag has not is refused: indexes instead of tables, text in UTF-16. Journals are
-//! files of their own, and not read here.
+//! (2.1), the schema's table (2.6). What a bag has not is refused: indexes instead of tables, text in UTF-16. Journals
+//! are files of their own, and not read here.
 
 use std::collections::BTreeSet;
 use std::io::{self, Read, Seek, SeekFrom};
