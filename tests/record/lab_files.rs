@@ -99,9 +99,9 @@ fn the_files_of_a_run_are_read_and_all_forms_hold_the_same() {
     let of_csv = import(folder.path(), CSV).expect("it is sound");
     assert_eq!(of_csv, (82, 82));
     for bag in ["sqlite3", "mcap", "sqlite3/bag.db3", "mcap/bag.mcap"] {
-        // Without velocities the first pose of each robot is no step, and the last is not before 4 s.
+        // Without velocities the first pose of each robot and episode is no step, and the last is not before 4 s.
         let (steps, commands) = import(folder.path(), &BAG.replace("BAG", bag)).expect("it is sound");
-        assert!((78..=80).contains(&steps) && commands == 82, "{bag}: {steps}");
+        assert!((70..=74).contains(&steps) && commands == 82, "{bag}: {steps}");
     }
 }
 
@@ -206,6 +206,7 @@ fn each_wrong_field_of_a_mapping_is_named() {
         ("robots = 2", "robots = 2\nunits = {}", &["units", "metres"]),
         ("path = \"sqlite3\"", "path = \"sqlite3/metadata.yaml\"", &["metadata.yaml", ".mcap or .db3"]),
         ("path = \"sqlite3\"", "path = \".\"", &["metadata.yaml", "reindex"]),
+        ("path = \"sqlite3\"", "path = \"none\"", &["none", "No such file"]),
     ] {
         let mapping = BAG.replace("BAG", "sqlite3").replacen(from, to, 1);
         let why = import(folder.path(), &mapping).expect_err(to);
@@ -296,9 +297,25 @@ fn wrong_cells_are_named_by_line_and_column() {
         let why = import(folder.path(), CSV).expect_err(cell);
         words.iter().for_each(|word| assert!(why.contains(word), "'{cell}': '{word}' is not in: {why}"));
     }
+    // Of two columns of one name it is not known which is meant.
+    std::fs::write(&table, whole.replacen("heading_rad", "x_m", 1)).expect("it can be written");
+    let why = import(folder.path(), &CSV.replace("yaw = \"heading_rad\"\n", "")).expect_err("two columns");
+    assert!(why.contains("poses.x") && why.contains("two columns"), "{why}");
     // A robot that was not seen has no position.
     let mut cells = line.clone();
     cells[3] = "";
     std::fs::write(&table, whole.replacen(&line.join(","), &cells.join(","), 1)).expect("it can be written");
     assert_eq!(import(folder.path(), CSV), Ok((81, 82)));
+}
+
+#[test]
+fn long_poses_go_with_commands_in_columns_of_each_robot_and_a_task_file_is_beside_the_mapping() {
+    let folder = files();
+    std::fs::write(folder.path().join("told.csv"), "at,u0,v0,u1,v1\n0.0,1.0,0.0,0.0,1.0\n1.0,0.0,0.0,0.0,0.0\n")
+        .expect("it can be written");
+    let wide = "path = \"told.csv\"\ntime = \"at\"\nx = \"u{robot}\"\ny = \"v{robot}\"\n";
+    let mapping = CSV.replace("x = \"command_x_m_s\"\ny = \"command_y_m_s\"\n", wide);
+    assert_eq!(import(folder.path(), &mapping), Ok((82, 4)));
+    let why = import(folder.path(), &CSV.replace("\"passage\"", "\"own.toml\"")).expect_err("no task file");
+    assert!(why.contains(&*folder.path().join("own.toml").to_string_lossy()), "{why}");
 }

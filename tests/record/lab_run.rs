@@ -53,7 +53,9 @@ receiver = "to"
 fn twin(record: &Path) -> Value {
     let output = run(&["study", "twin", record.to_str().expect("UTF-8"), "--repeats", "2", "--json", "--quiet"]);
     assert!(matches!(output.status.code(), Some(0 | 1)), "{}", text(&output.stderr));
-    rows(&text(&output.stdout))
+    let report = rows(&text(&output.stdout));
+    assert_eq!(report["agrees"], output.status.success(), "{report}");
+    report
 }
 
 /// Imports the mapping with this text, in a folder with the files that it names, and returns the report of its twin.
@@ -181,12 +183,20 @@ fn an_imported_record_is_shown_exported_and_described_but_not_replayed() {
         [poses]\ntime = \"time_s\"\nrobot = \"robot\"\nx = \"x_m\"\ny = \"y_m\"\n";
     let report = imported(folder.path(), "poses", mapping);
     assert_eq!(missing(&report)[..2], ["lag and slip", "delay and loss"]);
-    assert_eq!(report["rows"], serde_json::json!([]));
+    assert_eq!((&report["rows"], &report["agrees"]), (&serde_json::json!([]), &Value::from(false)));
 
     let record = folder.path().join("poses.mcap");
     let record = record.to_str().expect("UTF-8");
     let said = text(&run(&["record", "info", record]).stdout);
     assert!(said.contains("a run from elsewhere") && said.contains("/truth") && said.contains("poses.toml"), "{said}");
+    let model = folder.path().join("model");
+    let to = model.to_str().expect("UTF-8");
+    let given = ["--given", "delay_s=0.02", "--given", "loss=0.1", "--out", to];
+    let output = run(&[&["study", "twin", record][..], &given].concat());
+    assert_eq!(output.status.code(), Some(1), "nothing was fitted: {}", text(&output.stderr));
+    assert!(text(&output.stdout).contains("nothing is compared"), "{}", text(&output.stdout));
+    let conditions = std::fs::read_to_string(model.join("conditions.toml")).expect("it is written");
+    assert!(conditions.contains("delay_s = 0.02") && conditions.contains("loss = 0.1"), "{conditions}");
     let table = folder.path().join("again.csv");
     let to = table.to_str().expect("UTF-8");
     assert!(run(&["record", "export", record, "--trajectories", to]).status.success());
@@ -215,4 +225,35 @@ fn first_of_robot_0_after(table: &Path) -> [f64; 2] {
     let rows: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
     let row = rows.iter().filter(|row| row[2] == "0").nth(1).expect("two rows");
     [3, 4].map(|at| row[at].parse().expect("a number"))
+}
+
+#[test]
+fn delays_of_different_clocks_are_not_fitted_and_receipts_outside_of_the_poses_do_not_count() {
+    let folder = tempfile::TempDir::new().expect("a folder");
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/lab_run/run.csv");
+    std::fs::copy(&data, folder.path().join("run.csv")).expect("the folder is there");
+    let mapping = "format = \"csv\"\npath = \"run.csv\"\nrobots = [\"0\", \"1\"]\nperiod_s = 0.1\n\
+        episodes = \"episode\"\n\
+        [poses]\ntime = \"time_s\"\nrobot = \"robot\"\nx = \"x_m\"\ny = \"y_m\"\n\
+        [receipts]\npath = \"receipts.csv\"\nsent = \"sent\"\nreceived = \"received\"\nsender = \"from\"\n\
+        receiver = \"to\"\n";
+    let text = std::fs::read_to_string(&data).expect("the table is there");
+    let times = text.lines().skip(1).map(|line| line.split(',').nth(1).expect("a time").parse::<f64>());
+    let times: Vec<f64> = times.map(|time| time.expect("a number")).collect();
+    // The receiver's clock is a second behind. Of ten messages one is lost.
+    let mut receipts = "sent,received,from,to\n".to_owned();
+    for (at, time) in times.iter().step_by(2).enumerate() {
+        let received = if at % 10 == 9 { String::new() } else { (time - 0.98).to_string() };
+        receipts += &format!("{time},{received},0,1\n");
+    }
+    let after = times.iter().copied().fold(0.0, f64::max) + 60.0;
+    for late in 0..50 {
+        receipts += &format!("{},,0,1\n", after + f64::from(late));
+    }
+    std::fs::write(folder.path().join("receipts.csv"), receipts).expect("the folder is there");
+    let report = imported(folder.path(), "clocks", mapping);
+    assert_eq!(missing(&report)[..2], ["lag and slip", "delay"]);
+    assert!(report["notes"].to_string().contains("50 receipts left out"), "{report}");
+    assert!(report["notes"].to_string().contains("one clock"), "{report}");
+    assert!(fitted(&report, "all links, loss").0 < 15.0, "{report}");
 }

@@ -19,7 +19,7 @@ use std::sync::Arc;
 
 use murmurate::config::ConfigError;
 use murmurate::registry::Registry;
-use murmurate::scenario::{Scenario, Settings};
+use murmurate::scenario::{Scenario, Settings, task_file};
 use murmurate_record::topics::Stage;
 
 pub use error::ImportError;
@@ -48,7 +48,7 @@ pub struct Imported {
 pub fn read(path: &Path, registry: &Registry) -> Result<Imported, ImportError> {
     let (mapping, text) = Mapping::read(path)?;
     let wrong = |error| ImportError::Mapping { path: path.to_owned(), error };
-    let scenario = scenario(&mapping, registry).map_err(wrong)?;
+    let scenario = scenario(path, &mapping, registry).map_err(wrong)?;
     let mut samples = Samples::of(mapping.names.len());
     match &mapping.source {
         Source::Csv(poses, commands, units) => {
@@ -70,9 +70,14 @@ pub fn read(path: &Path, registry: &Registry) -> Result<Imported, ImportError> {
     Ok(Imported { mapping, text, steps, samples, stage })
 }
 
-/// Returns the task that a mapping names; `None` if it names none.
-fn scenario(mapping: &Mapping, registry: &Registry) -> Result<Option<Arc<dyn Scenario>>, ConfigError> {
+/// Returns the task that the mapping in the file `path` names, a task file from the mapping's folder on; `None` if it
+/// names none. The task is only drawn, so one that is not for as many robots is made for its own number.
+fn scenario(path: &Path, mapping: &Mapping, registry: &Registry) -> Result<Option<Arc<dyn Scenario>>, ConfigError> {
     let Some(task) = &mapping.task else { return Ok(None) };
-    let settings = Settings { robots: Some(mapping.names.len()), hull_m: mapping.hull_m, ..Settings::default() };
-    registry.scenario(task, &settings).map(Some).map_err(|error| ConfigError::field("task", error.to_string()))
+    let file = path.parent().filter(|_| task_file::is_task_file(task)).map(|folder| folder.join(task));
+    let name = file.as_ref().map_or(task.into(), |file| file.to_string_lossy());
+    let own = Settings { hull_m: mapping.hull_m, ..Settings::default() };
+    let made = registry.scenario(&name, &Settings { robots: Some(mapping.names.len()), ..own.clone() });
+    let made = made.or_else(|error| registry.scenario(&name, &own).map_err(|_| error));
+    made.map(Some).map_err(|error| ConfigError::field("task", error.to_string()))
 }

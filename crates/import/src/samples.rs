@@ -2,7 +2,7 @@
 
 use murmurate_record::receipt::Receipt;
 
-/// Most poses, commands or receipts that are read of a run.
+/// Most poses, commands and receipts together that are read of a run.
 pub const MOST: usize = 20_000_000;
 
 /// Pose of a robot at one time, on the axes of the run.
@@ -41,11 +41,19 @@ pub struct Samples {
     pub commands: Vec<Vec<Command>>,
     /// Messages between robots.
     pub receipts: Vec<Receipt>,
+    /// Number of all of them, as they were read.
+    count: usize,
 }
 
 impl Samples {
     /// Returns the samples of `robots` robots, of which nothing is known yet.
     pub fn of(robots: usize) -> Samples {
-        Samples { poses: vec![Vec::new(); robots], commands: vec![Vec::new(); robots], receipts: Vec::new() }
+        Samples { poses: vec![Vec::new(); robots], commands: vec![Vec::new(); robots], ..Samples::default() }
+    }
+
+    /// Counts one more sample, and returns whether it may be read.
+    pub fn count(&mut self) -> bool {
+        self.count += 1;
+        self.count <= MOST
     }
 }

@@ -54,8 +54,14 @@ impl Sheet {
 
     /// Returns the column `name`, which the field `field` of the mapping names.
     fn column(&self, field: &str, name: &str) -> Result<Column, ImportError> {
-        if let Some(at) = self.heads.iter().position(|head| head == name) {
-            return Ok(Column { name: name.to_owned(), at });
+        let mut places = self.heads.iter().zip(0..).filter(|(head, _)| *head == name);
+        match (places.next(), places.next()) {
+            (Some((_, at)), None) => return Ok(Column { name: name.to_owned(), at }),
+            (Some(_), Some(_)) => {
+                let why = format!("{field}: two columns have the name '{name}': rename one");
+                return Err(ImportError::file(&self.path, why));
+            }
+            (None, _) => {}
         }
         let heads: Vec<&str> = self.heads.iter().take(40).collect();
         let why = format!("{field}: there is no column '{name}'; there are: {}", heads.join(", "));
@@ -248,7 +254,7 @@ pub fn poses(mapping: &Mapping, (of, units): (&PoseColumns, &Units), samples: &m
         Episodes::Column(name) => Some(sheet.column("episodes", name)?),
         _ => None,
     };
-    let (mut labels, mut count): (BTreeMap<String, u32>, usize) = (BTreeMap::new(), 0);
+    let mut labels: BTreeMap<String, u32> = BTreeMap::new();
     sheet.rows(|row| {
         let at_ns = row.time(&time, units.time)?.ok_or_else(|| row.wrong(&time, "it is empty"))?;
         let label = label.as_ref().map_or(Some(0), |column| {
@@ -264,20 +270,20 @@ pub fn poses(mapping: &Mapping, (of, units): (&PoseColumns, &Units), samples: &m
             None => 0..names.len(),
         };
         for robot in robots {
-            let pose = places.pose(row, at_ns, robot, (of, units))?;
-            samples.poses[robot].extend(pose.map(|pose| Pose { label, ..pose }));
-            count += 1;
+            let Some(pose) = places.pose(row, at_ns, robot, (of, units))? else { continue };
+            counted(row, samples)?;
+            samples.poses[robot].push(Pose { label, ..pose });
         }
-        within(row, count)
+        Ok(())
     })
 }
 
-/// Fails if a file has had more samples than are read of a run.
-fn within(row: &Row, count: usize) -> Result<(), ImportError> {
-    if count <= MOST {
+/// Counts the next sample, which is in this row. Fails if it is one more than are read of a run.
+fn counted(row: &Row, samples: &mut Samples) -> Result<(), ImportError> {
+    if samples.count() {
         return Ok(());
     }
-    Err(ImportError::file(row.path, format!("line {}: it has more than {MOST} samples: cut it", row.line)))
+    Err(ImportError::file(row.path, format!("line {}: the run has more than {MOST} samples: cut it", row.line)))
 }
 
 /// Reads the commands of all robots from a table.
@@ -291,7 +297,7 @@ pub fn commands(
     let robot = of.robot.as_ref().map(|name| sheet.column("commands.robot", name)).transpose()?;
     let x = columns(&sheet, "commands.x", &of.x, names)?;
     let y = of.y.as_ref().map(|name| columns(&sheet, "commands.y", name, names)).transpose()?;
-    let (metre, mut count) = (metres(units.length), 0);
+    let metre = metres(units.length);
     sheet.rows(|row| {
         let at_ns = row.time(&time, units.time)?.ok_or_else(|| row.wrong(&time, "it is empty"))?;
         let robots = match &robot {
@@ -305,10 +311,10 @@ pub fn commands(
             // An empty cell: no command came at that time.
             let Some(along) = row.number(&x[robot], metre)? else { continue };
             let across = y.as_ref().map_or(Ok(Some(0.0)), |y| row.number(&y[robot], metre))?;
+            counted(row, samples)?;
             samples.commands[robot].push(Command { at_ns, velocity: [along, across.unwrap_or(0.0)] });
-            count += 1;
         }
-        within(row, count)
+        Ok(())
     })
 }
 
@@ -324,7 +330,8 @@ pub fn receipts(of: &Receipts, names: &[String], samples: &mut Samples) -> Resul
         let sent_ns = row.time(&sent, unit)?.ok_or_else(|| row.wrong(&sent, "it is empty"))?;
         let received_ns = row.time(&received, unit)?;
         let [from, to] = [row.robot(&sender, names)?, row.robot(&receiver, names)?].map(|robot| robot as u16);
+        counted(row, samples)?;
         samples.receipts.push(Receipt { from, to, sent_ns, received_ns });
-        within(row, samples.receipts.len())
+        Ok(())
     })
 }

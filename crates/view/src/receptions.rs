@@ -14,7 +14,7 @@ use murmurate::time::{Span, Time};
 struct Arrivals {
     /// Time of the last arrival.
     last: Time,
-    /// Number of messages that the robot had published at the last arrival.
+    /// Number of messages of the robot that were due at the last arrival.
     number: u64,
     /// Bit mask of the last 64 messages up to `number`, newest in bit 0; a set bit is an arrival.
     bits: u64,
@@ -27,6 +27,8 @@ struct Arrivals {
 pub(super) struct Receptions {
     /// Number of messages published by each robot.
     published: Vec<u64>,
+    /// For each receiving host: number of messages that each robot has sent to it alone.
+    sent: Vec<BTreeMap<RobotId, u64>>,
     /// For each receiving host: the arrivals by sending robot.
     arrivals: Vec<BTreeMap<RobotId, Arrivals>>,
 }
@@ -34,7 +36,8 @@ pub(super) struct Receptions {
 impl Receptions {
     /// Returns statistics without any message, for this number of robots and of hosts.
     pub fn new(robots: usize, hosts: usize) -> Receptions {
-        Receptions { published: vec![0; robots], arrivals: vec![BTreeMap::new(); hosts] }
+        let (sent, arrivals) = (vec![BTreeMap::new(); hosts], vec![BTreeMap::new(); hosts]);
+        Receptions { published: vec![0; robots], sent, arrivals }
     }
 
     /// Counts a latent that a robot has published.
@@ -42,9 +45,22 @@ impl Receptions {
         self.published[robot.index()] += 1;
     }
 
+    /// Counts a message that a robot has sent to the host `to` alone.
+    pub fn sent(&mut self, to: HostId, robot: RobotId) {
+        if let Some(table) = self.sent.get_mut(usize::from(to.0)) {
+            *table.entry(robot).or_default() += 1;
+        }
+    }
+
+    /// Returns the number of messages of a robot that should have arrived at the host `at`.
+    fn due(&self, at: HostId, robot: RobotId) -> u64 {
+        let alone = self.sent.get(usize::from(at.0)).and_then(|table| table.get(&robot)).copied().unwrap_or(0);
+        self.published[robot.index()] + alone
+    }
+
     /// Counts the arrival of a robot's newest latent at the host `at`.
     pub fn arrived(&mut self, now: Time, at: HostId, robot: RobotId) {
-        let number = self.published[robot.index()];
+        let number = self.due(at, robot);
         let Some(table) = self.arrivals.get_mut(usize::from(at.0)) else { return };
         let first = Arrivals { last: now, number: number.saturating_sub(1), bits: 0, covered: 0 };
         let entry = table.entry(robot).or_insert(first);
@@ -96,7 +112,7 @@ impl Receptions {
     pub fn link(&self, now: Time, at: HostId, robot: RobotId) -> Option<(Span, u8)> {
         let entry = self.arrivals.get(usize::from(at.0))?.get(&robot)?;
         // The newest message may still be in flight, so it does not count as lost.
-        let passed = (self.published[robot.index()] - entry.number).saturating_sub(1).min(64) as u32;
+        let passed = (self.due(at, robot) - entry.number).saturating_sub(1).min(64) as u32;
         let covered = (entry.covered + passed).min(u64::BITS);
         let got = shifted(entry.bits, passed).count_ones();
         Some((now.since(entry.last), (100 * covered.saturating_sub(got) / covered.max(1)) as u8))
@@ -126,5 +142,22 @@ mod tests {
         assert_eq!((age, loss), (Span::from_millis(50), 25), "one in four, and the newest may be on its way");
         (0..500).for_each(|_| receptions.published(robot));
         assert_eq!(receptions.link(at(50 * 199), host, robot).unwrap().1, 100, "all of the last 64");
+    }
+
+    #[test]
+    fn messages_to_one_host_are_lost_there_alone() {
+        let (mut receptions, robot) = (Receptions::new(1, 2), RobotId(0));
+        for number in 0..200u64 {
+            let now = Time::ZERO + Span::from_millis(50 * number);
+            receptions.sent(HostId(1), robot);
+            if number % 4 != 3 {
+                receptions.arrived(now, HostId(1), robot);
+            }
+            receptions.sent(HostId(0), robot);
+            receptions.arrived(now, HostId(0), robot);
+        }
+        let now = Time::ZERO + Span::from_millis(50 * 199);
+        let loss = [0, 1].map(|host| receptions.link(now, HostId(host), robot).expect("some arrived").1);
+        assert_eq!(loss, [0, 25]);
     }
 }

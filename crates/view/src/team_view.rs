@@ -143,6 +143,13 @@ impl TeamView {
         }
     }
 
+    /// Updates the state with a message that a robot has sent to the host `to` alone.
+    pub fn sent(&mut self, to: HostId, robot: RobotId) {
+        if robot.index() < self.robots.len() {
+            self.receptions.sent(to, robot);
+        }
+    }
+
     /// Updates the state with the arrival of a robot's newest latent at the host `at`.
     pub fn arrived(&mut self, now: Time, at: HostId, robot: RobotId) {
         if robot.index() < self.robots.len() {

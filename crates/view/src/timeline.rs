@@ -22,6 +22,8 @@ pub enum Sight {
     /// A message that a host has published. If the record of that host is missing, one that has arrived at another
     /// host.
     Message(Wire),
+    /// This robot has sent a message to this host alone. Of an imported run, which has no messages themselves.
+    Sent(HostId, RobotId),
     /// A latent of this robot has arrived at this host.
     Arrived(HostId, RobotId),
     /// True states of the simulated robots at one instant.
@@ -49,6 +51,7 @@ impl TeamView {
     pub fn take(&mut self, now: Time, sight: &Sight) {
         match sight {
             Sight::Message(message) => self.receive(now, message),
+            Sight::Sent(host, robot) => self.sent(*host, *robot),
             Sight::Arrived(host, robot) => self.arrived(now, *host, *robot),
             Sight::Truth(truth) => self.see(truth),
             Sight::Judged(episode) => self.judged(now, episode),

@@ -37,6 +37,9 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         let poses = counted(steps.repeated, "pose");
         talk(&format!("left out: {poses} of a robot and a time that had one already"));
     }
+    if steps.unmeasured > 0 {
+        talk(&format!("left out: {} without a velocity, which the others have", counted(steps.unmeasured, "pose")));
+    }
     let sum = |all: &[usize]| all.iter().sum::<usize>();
     let poses = sum(&samples.poses.iter().map(Vec::len).collect::<Vec<_>>());
     let commands = sum(&samples.commands.iter().map(Vec::len).collect::<Vec<_>>());

@@ -5,6 +5,7 @@ mod messages;
 mod sqlite;
 
 use std::collections::BTreeMap;
+use std::io::Read;
 use std::path::{Component, Path, PathBuf};
 
 use murmurate::config::regular;
@@ -14,7 +15,7 @@ use murmurate_record::reader::{Item, Reader};
 
 use crate::error::ImportError;
 use crate::mapping::{Frame, Stamps};
-use crate::samples::{Command, MOST, Pose, Samples};
+use crate::samples::{Command, Pose, Samples};
 use messages::{COMMANDS, CommandSample, POSES};
 use sqlite::{Database, Table, Value};
 
@@ -93,7 +94,7 @@ pub fn read(path: &Path, wanted: &Wanted, samples: &mut Samples) -> Result<(), I
 
 /// Returns the files of a bag, in their order.
 fn files(path: &Path) -> Result<Vec<PathBuf>, ImportError> {
-    if !path.is_dir() {
+    if !path.metadata().map_err(|error| ImportError::file(path, error))?.is_dir() {
         return Ok(vec![path.to_owned()]);
     }
     let metadata = path.join(METADATA);
@@ -121,6 +122,9 @@ fn described(text: &str) -> Result<Vec<String>, String> {
             if name.is_empty() || !plain {
                 return Err(format!("line {number}: relative_file_paths: '{name}' is no file of the bag's folder"));
             }
+            if names.contains(name) {
+                return Err(format!("line {number}: relative_file_paths: '{name}' is listed twice"));
+            }
             names.push(name.clone());
             continue;
         }
@@ -138,6 +142,21 @@ fn described(text: &str) -> Result<Vec<String>, String> {
         }
     }
     if names.is_empty() { Err("it lists no files: relative_file_paths is missing".to_owned()) } else { Ok(names) }
+}
+
+/// Fails if SQLite left a journal beside a database: a log of changes that are not in it yet (`-wal`), or what a change
+/// that was cut off has replaced (`-journal`, which begins with zeros or is empty once the change is whole).
+fn unmerged(path: &Path) -> Result<(), ImportError> {
+    for (end, hot) in [("db3-wal", None), ("db3-journal", Some(0))] {
+        let journal = path.with_extension(end);
+        let mut first = [0];
+        let read = regular::open(&journal).ok().and_then(|mut file| file.read(&mut first).ok()).unwrap_or(0);
+        if read > 0 && hot != Some(first[0]) {
+            let why = "it was not closed: open it once with 'sqlite3 FILE .schema', which takes it in";
+            return Err(ImportError::file(&journal, why));
+        }
+    }
+    Ok(())
 }
 
 impl Reading<'_> {
@@ -177,11 +196,7 @@ impl Reading<'_> {
 
     fn sqlite(&mut self, path: &Path) -> Result<(), ImportError> {
         let wrong = |error: sqlite::SqliteError| ImportError::file(path, error);
-        let journal = path.with_extension("db3-wal");
-        if journal.metadata().is_ok_and(|of| of.len() > 0) {
-            let why = "it was not closed: open it once with 'sqlite3 FILE .schema', which takes it in";
-            return Err(ImportError::file(&journal, why));
-        }
+        unmerged(path)?;
         let file = regular::open(path).map_err(|error| ImportError::file(path, error))?;
         let mut database = Database::open(file).map_err(wrong)?;
         let mut table = |name: &str, columns: &[&str]| -> Result<(Table, Vec<usize>), ImportError> {
@@ -201,12 +216,14 @@ impl Reading<'_> {
         database
             .rows(&topics, &mut |number, cells| {
                 let text = |at: usize| cells.get(of_topics[at]).and_then(Value::text);
-                match (text(0), text(1), text(2)) {
-                    (Some(name), Some(kind), Some("cdr")) => {
-                        named.insert(number, (name.to_owned(), kind.to_owned()));
-                    }
-                    _ => failed = Some(format!("table 'topics': row {number}: its messages are not in CDR")),
+                let (Some(name), Some(kind), format) = (text(0), text(1), text(2)) else {
+                    failed = Some(format!("table 'topics': row {number}: it has no name or type"));
+                    return false;
+                };
+                if format != Some("cdr") && self.roles.contains_key(name) {
+                    failed = Some(format!("table 'topics': row {number}: its messages are not in CDR"));
                 }
+                named.insert(number, (name.to_owned(), kind.to_owned()));
                 failed.is_none()
             })
             .map_err(wrong)?;
@@ -219,6 +236,14 @@ impl Reading<'_> {
             .rows(&messages, &mut |number, cells| {
                 let cell = |at: usize| cells.get(of_messages[at]);
                 let topic = cell(0).and_then(Value::integer).and_then(|id| named.get(&id));
+                if topic.is_some_and(|(topic, _)| !self.roles.contains_key(&**topic)) {
+                    return true;
+                }
+                if cell(2) == Some(&Value::Unread) {
+                    let why = format!("table 'messages': row {number}: it is longer than 64 MiB");
+                    failed = Some(ImportError::file(path, why));
+                    return false;
+                }
                 let time = cell(1).and_then(Value::integer).and_then(|time| u64::try_from(time).ok());
                 let (Some((topic, kind)), Some(at_ns), Some(Value::Bytes(data))) = (topic, time, cell(2)) else {
                     let why = format!("table 'messages': row {number}: it has no topic, time or data");
@@ -246,7 +271,7 @@ impl Reading<'_> {
         let number = *count;
         let wrong =
             |why: &str| ImportError::file(path, format!("message {number} of '{}': {why}", shown::value(topic)));
-        if number > MOST as u64 {
+        if !self.samples.count() {
             return Err(wrong("there are more than can be read: cut the bag"));
         }
         let of = |stamp_ns: u64| match self.wanted.stamps {
@@ -306,5 +331,39 @@ impl<'a> Wanted<'a> {
     ) -> Wanted<'a> {
         let velocity_frame = velocity_frame.unwrap_or(Frame::Body);
         Wanted { poses, commands: commands.unwrap_or_default(), stamps, velocity_frame }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_a_bag_lists_twice_is_refused_with_its_line() {
+        let text = "rosbag2_bagfile_information:\n  relative_file_paths:\n    - a.db3\n    - b.db3\n";
+        assert_eq!(described(text), Ok(vec!["a.db3".to_owned(), "b.db3".to_owned()]));
+        let why = described(&text.replace("b.db3", "a.db3")).expect_err("twice");
+        assert!(why.contains("line 4") && why.contains("twice"), "{why}");
+    }
+
+    #[test]
+    fn a_bag_that_is_absent_is_said_to_be() {
+        let why = files(Path::new("/nowhere/bag")).expect_err("it is absent").to_string();
+        assert!(why.contains("/nowhere/bag") && why.contains("No such file"), "{why}");
+    }
+
+    #[test]
+    fn a_journal_beside_a_database_is_refused_unless_its_change_is_whole() {
+        let folder = tempfile::TempDir::new().expect("a folder");
+        let bag = folder.path().join("bag.db3");
+        let with = |end: &str, bytes: &[u8]| {
+            let journal = bag.with_extension(end);
+            std::fs::write(&journal, bytes).expect("the folder is there");
+            let result = unmerged(&bag);
+            std::fs::remove_file(&journal).expect("it is there");
+            result.is_ok()
+        };
+        assert!(unmerged(&bag).is_ok() && with("db3-wal", &[]) && with("db3-journal", &[]));
+        assert!(with("db3-journal", &[0; 28]) && !with("db3-journal", &[0xd9, 0xd5]) && !with("db3-wal", &[0x37]));
     }
 }

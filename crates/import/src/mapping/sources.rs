@@ -124,10 +124,12 @@ pub(super) fn csv(fields: &Fields, robots: usize) -> Result<(Source, Option<Fram
     if frame == Frame::Body && columns.heading.is_none() {
         return Err(ConfigError::field("commands.frame", BODY));
     }
+    // Columns of each robot need no other that names it.
+    let wide = [&commands.x, &commands.y].into_iter().flatten().any(|column| column.contains(ROBOT));
     let told = CommandColumns {
         path: commands.path.clone().unwrap_or_else(|| fields.path.clone()),
         time: commands.time.clone().unwrap_or_else(|| columns.time.clone()),
-        robot: commands.robot.clone().or_else(|| columns.robot.clone()),
+        robot: commands.robot.clone().or_else(|| columns.robot.clone().filter(|_| !wide)),
         x: needed("commands", "x", &commands.x)?,
         y: commands.y.clone(),
     };

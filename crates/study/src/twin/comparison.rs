@@ -191,14 +191,14 @@ fn model(fitted: &Fitted, later: &Fitted, links: &[String]) -> Vec<Row> {
     let all = ("all links".to_owned(), (&fitted.all_links, &later.all_links));
     for (name, (one, other)) in each.chain([all]) {
         let (Some(one), Some(other)) = (one, other) else { continue };
-        let delay = (one.delay_s.scaled(1e3), other.delay_s.scaled(1e3));
-        rows.push(Row::new(&format!("{name}, delay"), "ms", delay, Bar::Difference(DELAY_MS)));
-        let loss = (one.loss.scaled(100.0), other.loss.scaled(100.0));
-        rows.push(Row::new(&format!("{name}, loss"), "%", loss, Bar::Difference(LOSS_POINTS)));
+        let delay = one.delay_s.zip(other.delay_s).map(|(one, other)| (one.scaled(1e3), other.scaled(1e3)));
+        rows.extend(delay.map(|pair| Row::new(&format!("{name}, delay"), "ms", pair, Bar::Difference(DELAY_MS))));
+        let loss = one.loss.zip(other.loss).map(|(one, other)| (one.scaled(100.0), other.scaled(100.0)));
+        rows.extend(loss.map(|pair| Row::new(&format!("{name}, loss"), "%", pair, Bar::Difference(LOSS_POINTS))));
     }
     // An emulated link has a constant delay, so the prediction does not contain the variation of delays.
-    let slowest = |link: FittedLink| Estimate::exact(1e3 * link.spread_s[1]);
-    let both = fitted.all_links.zip(later.all_links).map(|(one, other)| (slowest(one), slowest(other)));
+    let slowest = |link: FittedLink| link.spread_s.map(|[_, slow_s]| Estimate::exact(1e3 * slow_s));
+    let both = fitted.all_links.and_then(slowest).zip(later.all_links.and_then(slowest));
     rows.extend(both.map(|pair| Row::new("all links, delay, 95 %", "ms", pair, Bar::Free)));
     rows
 }

@@ -28,17 +28,26 @@ pub struct Crossing {
     pub took_ns: Option<i64>,
 }
 
-/// Delay and loss of a link, as fitted to the datagrams of a recorded run.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Delay and loss of a link, as fitted to the datagrams of a recorded run, or as given by the user.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FittedLink {
     /// Number of datagrams that should have arrived, counted at each of their receivers.
     pub due: usize,
-    /// Probability that a receiver loses a datagram, 0 to 1.
-    pub loss: Estimate,
-    /// One-way delay \[s\], as the mean over pairs of hosts of their median delays.
-    pub delay_s: Estimate,
-    /// 5 % and 95 % quantiles of the one-way delay of single datagrams \[s\].
-    pub spread_s: [f64; 2],
+    /// Probability that a receiver loses a datagram, 0 to 1; `None` if it is not known.
+    pub loss: Option<Estimate>,
+    /// One-way delay \[s\], as the mean over pairs of hosts of their median delays; `None` if it is not known.
+    pub delay_s: Option<Estimate>,
+    /// 5 % and 95 % quantiles of the one-way delay of single datagrams \[s\]; `None` if they are not known.
+    pub spread_s: Option<[f64; 2]>,
+}
+
+impl FittedLink {
+    /// Returns the link without its delay, if that is below zero: then sent and received times are of clocks that
+    /// differ, and messages do not go both ways.
+    pub fn of_clocks(self) -> FittedLink {
+        let early = self.delay_s.is_some_and(|delay_s| delay_s.value < 0.0);
+        if early { FittedLink { delay_s: None, spread_s: None, ..self } } else { self }
+    }
 }
 
 /// Ordered pair of hosts on a link: link, sender, receiver.
@@ -91,7 +100,8 @@ pub fn fit(
     })?;
     let end = |q| quantile_of(all.clone(), q).unwrap_or(delay_s.value);
     let due = counted.iter().map(|episode| episode.due).sum();
-    Some(FittedLink { due, loss, delay_s, spread_s: [end(0.05), end(0.95)] })
+    let spread_s = Some([end(0.05), end(0.95)]);
+    Some(FittedLink { due, loss: Some(loss), delay_s: Some(delay_s), spread_s })
 }
 
 #[cfg(test)]
@@ -126,9 +136,23 @@ mod tests {
             let mut stream = Seed::of_run(1).stream("links");
             let found = fit(&all, Some(LinkId(1)), 0..4, &mut stream).unwrap();
             assert_eq!(found.due, 4 * 6 * 300);
-            assert!((found.loss.value - loss).abs() < 0.02, "{found:?}");
-            assert!((found.delay_s.value - delay_ns as f64 / 1e9 - 0.0002).abs() < 0.0001, "{found:?}");
+            let value = |found: Option<Estimate>| found.expect("it was fitted").value;
+            assert!((value(found.loss) - loss).abs() < 0.02, "{found:?}");
+            assert!((value(found.delay_s) - delay_ns as f64 / 1e9 - 0.0002).abs() < 0.0001, "{found:?}");
             assert!(fit(&all, Some(LinkId(0)), 0..4, &mut stream).is_none());
         }
+    }
+
+    #[test]
+    fn a_delay_below_zero_is_none_and_the_loss_stays() {
+        let both = crossings(1_000_000, 0.1, -9_000_000);
+        let one: Vec<Crossing> = both.iter().filter(|crossing| crossing.to == HostId(2)).copied().collect();
+        let fitted = |all: &[Crossing]| {
+            let found = fit(all, None, 0..8, &mut Seed::of_run(1).stream("links")).expect("messages arrived");
+            found.of_clocks()
+        };
+        assert!(fitted(&both).delay_s.is_some());
+        let found = fitted(&one);
+        assert!((found.delay_s, found.spread_s) == (None, None) && found.loss.is_some(), "{found:?}");
     }
 }

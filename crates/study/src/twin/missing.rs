@@ -94,6 +94,11 @@ pub fn of_import(found: &Fitted, held: Held) -> Vec<Missing> {
     match found.all_links {
         None if !held.receipts => missing.push(Missing::new("delay and loss", "the mapping names no receipts")),
         None => missing.push(Missing::new("delay and loss", "no message arrived in these episodes")),
+        Some(link) if link.delay_s.is_none() => {
+            let why = "messages arrive before they were sent: the two times are of different clocks, and messages do \
+                not go both ways";
+            missing.push(Missing::new("delay", why));
+        }
         Some(_) => {}
     }
     missing.push(Missing::new("ticks", "the times at which policies step are not in a mapping"));

@@ -106,15 +106,16 @@ impl Given {
 
     /// Returns the parameters `fitted`, each replaced by the value that the user gave, if there is one.
     pub fn over(&self, mut fitted: Fitted) -> Fitted {
-        let exact = |given: Option<f64>, place: &mut Estimate| {
-            *place = given.map_or(*place, Estimate::exact);
-        };
+        let exact = |given: Option<f64>, place: &mut Option<Estimate>| *place = given.map(Estimate::exact).or(*place);
         if let Some(lag_s) = self.lag_s {
             fitted.lag_s = Some(Estimate::exact(lag_s));
         }
         if let Some(slip) = self.slip {
             let time_s = fitted.slip.map_or(0.0, |slip| slip.time_s);
             fitted.slip = Some(Slip { share: Estimate::exact(slip), time_s });
+        }
+        if self.delay_s.is_some() || self.loss.is_some() {
+            fitted.all_links.get_or_insert_default();
         }
         for link in fitted.links.iter_mut().flatten().chain(&mut fitted.all_links) {
             exact(self.delay_s, &mut link.delay_s);
@@ -169,7 +170,8 @@ pub fn fit(run: &Run, basis: &Basis, episodes: Range<u32>) -> Fitted {
         if run.steps_ns.iter().any(|steps| !steps.is_empty()) { offsets::steady(steps, *period_ns) } else { ticks(0) };
     let offset = |robot: usize| Some(offsets::between(ticks(robot)?, step?, *period_ns));
     let offsets_s = (0..basis.robots).map(offset).collect();
-    Fitted { lag_s, late_s, slip, links, all_links: link(None, "all"), offsets_s }
+    let all_links = link(None, "all").map(|all| if basis.matches { all.of_clocks() } else { all });
+    Fitted { lag_s, late_s, slip, links, all_links, offsets_s }
 }
 
 /// Returns the deployment with delay and loss of its links, and offsets of the robots' ticks, replaced by fitted ones.
@@ -177,8 +179,8 @@ pub fn fit(run: &Run, basis: &Basis, episodes: Range<u32>) -> Fitted {
 pub fn deployment(fitted: &Fitted, mut deployment: Deployment) -> Deployment {
     for (link, found) in deployment.links.iter_mut().zip(&fitted.links) {
         let Some(found) = found else { continue };
-        link.delay_s = rounded(found.delay_s.value.max(0.0), 1e6);
-        link.loss = rounded(found.loss.value.clamp(0.0, 1.0), 1e4);
+        link.delay_s = found.delay_s.map_or(link.delay_s, |delay_s| rounded(delay_s.value.max(0.0), 1e6));
+        link.loss = found.loss.map_or(link.loss, |loss| rounded(loss.value.clamp(0.0, 1.0), 1e4));
         link.impairs.clone_from(&link.carries);
     }
     for host in &mut deployment.hosts {
@@ -209,4 +211,21 @@ pub fn simulation(fitted: &Fitted, trial: &Trial, first: u32) -> Trial {
         twin.physics.slip_s = rounded(slip.time_s, 1e3) as f32;
     }
     twin
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn delay_and_loss_that_are_given_hold_without_any_message() {
+        let mut given = Given::default();
+        given.set("delay_s", 0.02).expect("it is a delay");
+        let all = given.over(Fitted::default()).all_links.expect("it was given");
+        assert_eq!((all.delay_s, all.loss), (Some(Estimate::exact(0.02)), None));
+        given.set("loss", 0.1).expect("it is a probability");
+        let all = given.over(Fitted::default()).all_links.expect("it was given");
+        assert_eq!(all.loss, Some(Estimate::exact(0.1)));
+        assert_eq!(Given::default().over(Fitted::default()).all_links, None);
+    }
 }

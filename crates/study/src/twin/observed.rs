@@ -1,6 +1,8 @@
 //! Reads the records of a run for its twin: what each host sent, and when it arrived at which host; how robots moved;
 //! how episodes ended.
 
+mod imported;
+
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -9,7 +11,7 @@ use super::lag::{Moved, Series};
 use super::links::Crossing;
 use murmurate::deploy::Routes;
 use murmurate::graph::inputs::Input;
-use murmurate::messages::ids::{HostId, LinkId, RobotId};
+use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::phase::Phase;
 use murmurate::messages::wire::{Kind, Latent, Wire};
 use murmurate::net::protocol::codec::{self, Content, Flags};
@@ -184,6 +186,8 @@ pub struct Run {
     pub steps_ns: Vec<Vec<i64>>,
     /// Decisions of each robot, in the order of robot ids: for each decision its episode and its time \[ns\].
     pub ticks_ns: Vec<Vec<(u32, i64)>>,
+    /// Number of receipts of an imported run that are left out: of messages that were sent while no robot was seen.
+    pub left_out: usize,
 }
 
 impl Run {
@@ -210,23 +214,6 @@ impl Run {
         if logs.iter().all(|log| log.states.is_empty()) {
             run.estimate(logs, &common, &episode_at, team);
         }
-        run
-    }
-
-    /// Returns the run of an imported record, which has one clock: measured states, beginnings of episodes, receipts.
-    /// `period_ns` is the period of its states \[ns\].
-    pub fn imported(log: &Log, robots: usize, period_ns: i64) -> Run {
-        let episode_at = |ns: i64| log.begins.partition_point(|begin| *begin <= ns).saturating_sub(1) as u32;
-        let mut run = Run::empty(robots, log.begins.len());
-        run.move_robots(std::slice::from_ref(log), &|_, ns| Some(ns), &episode_at, period_ns);
-        let crossing = |receipt: &Receipt| Crossing {
-            episode: episode_at(receipt.sent_ns),
-            link: LinkId(0),
-            from: HostId(receipt.from),
-            to: HostId(receipt.to),
-            took_ns: receipt.received_ns.map(|received_ns| received_ns - receipt.sent_ns),
-        };
-        run.crossings = log.receipts.iter().map(crossing).collect();
         run
     }
 

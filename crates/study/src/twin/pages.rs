@@ -1,6 +1,7 @@
 //! Report of a twin: its figures and its page.
 
 use super::comparison::Row;
+use super::links::Crossing;
 use super::observed::Run;
 use super::predict::Predicted;
 use murmurate::config::shown::counted;
@@ -77,18 +78,19 @@ pub fn figures(run: &Run, first: usize, predicted: &[Predicted]) -> Result<Vec<F
 }
 
 /// Draws the delays of the messages that were sent before the episode `first`, to which the model was fitted, and of
-/// those after. There is no figure without messages.
+/// those after. There is no figure without messages, nor if by different clocks some arrive before they were sent.
 fn arrivals(run: &Run, first: usize) -> Result<Vec<Figure>, FigureError> {
-    if run.crossings.is_empty() {
+    let took = |crossing: &Crossing| crossing.took_ns.map(|took_ns| u64::try_from(took_ns).ok());
+    if run.crossings.is_empty() || run.crossings.iter().any(|crossing| took(crossing) == Some(None)) {
         return Ok(Vec::new());
     }
     let mut halves = [Listening::default(); 2];
     for crossing in &run.crossings {
         let listening = &mut halves[usize::from(crossing.episode as usize >= first)];
         listening.due += 1;
-        if let Some(took_ns) = crossing.took_ns {
+        if let Some(took_ns) = took(crossing).flatten() {
             listening.arrived += 1;
-            listening.delay.add(Span::from_nanos(u64::try_from(took_ns).unwrap_or(0)));
+            listening.delay.add(Span::from_nanos(took_ns));
         }
     }
     let columns = [("fitted", &halves[0]), ("the other episodes", &halves[1])];
@@ -96,7 +98,9 @@ fn arrivals(run: &Run, first: usize) -> Result<Vec<Figure>, FigureError> {
     Ok(vec![Figure {
         name: "delays".to_owned(),
         title: "Delays of messages".to_owned(),
-        caption: "Of each message and receiver. A line that ends below 1 has lost the rest.".to_owned(),
+        caption:
+            "Of each message and receiver, by the clocks of the files. A line that ends below 1 has lost the rest."
+                .to_owned(),
         svg: murmurate_report::figures::arrivals("Delays of messages", &columns)?,
     }])
 }
@@ -106,6 +110,7 @@ pub fn page(words: &Words, rows: &[Row], figures: &[Figure]) -> String {
     let [fitted, predicted] = words.episodes;
     let outside = rows.iter().filter(|row| !row.agrees).count();
     let verdict = match outside {
+        0 if rows.is_empty() => "Nothing was fitted, so nothing is compared.".to_owned(),
         0 => "Every measurement agrees with its prediction.".to_owned(),
         1 => "One measurement lies outside its bar.".to_owned(),
         more => format!("{more} measurements lie outside their bars."),

@@ -100,7 +100,7 @@ pub fn of_import(fitted: &Fitted, hull_m: Option<f32>) -> Conditions {
         slip_s: slip.map(|slip| rounded(slip.time_s, 1e3) as f32),
         hull_m,
         scale: None,
-        delay_s: all_links.map(|link| rounded(link.delay_s.value.max(0.0), 1e6)),
-        loss: all_links.map(|link| rounded(link.loss.value.clamp(0.0, 1.0), 1e4)),
+        delay_s: all_links.and_then(|link| link.delay_s).map(|delay_s| rounded(delay_s.value, 1e6)),
+        loss: all_links.and_then(|link| link.loss).map(|loss| rounded(loss.value.clamp(0.0, 1.0), 1e4)),
     }
 }

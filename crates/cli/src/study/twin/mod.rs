@@ -35,7 +35,8 @@ const LEAST: usize = 4;
 #[derive(clap::Args)]
 #[command(
     after_help = "Exit codes: 0 every measurement agrees with its prediction; 1 at least one lies outside its bar: the \
-    table says which; 2 a flag or a record is wrong; 130 interrupted, nothing was compared."
+    table says which; or nothing could be fitted, and so nothing was compared; 2 a flag or a record is wrong; 130 \
+    interrupted, nothing was compared."
 )]
 pub struct Args {
     /// Records of the hosts of one run, or their folder: what 'launch --record DIR' or 'host --record DIR' wrote; or
@@ -93,7 +94,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let predicted = simulated.map_or(Ok(Some(Vec::new())), |twin| predict(args, twin, repeats))?;
     let Some(predicted) = predicted else { return Ok(Ended::Interrupted) };
     let rows = comparison::rows(&run, first, &predicted, (&fitted, &later), (&basis.links, args.run.seed));
-    let agrees = rows.iter().all(|row| row.agrees);
+    let agrees = !rows.is_empty() && rows.iter().all(|row| row.agrees);
     let report = Report {
         study: "twin",
         scenario: scenario_of(&origin),
@@ -196,7 +197,11 @@ fn in_words(title: &str, report: &Report) -> String {
     let head = format!("{title}\nfitted to {}; {predicting}{given}", counted(fitted, "episode"));
     let lines = report.not_fitted.iter().map(|missing| format!("\n{missing}"));
     let lines = lines.chain(report.notes.iter().map(|note| format!("\nnote: {note}")));
-    format!("{head}\n\n{}\n", comparison::text(report.rows)) + &lines.collect::<String>()
+    let table = match report.rows {
+        [] => "Nothing was fitted, so nothing is compared.".to_owned(),
+        rows => comparison::text(rows),
+    };
+    format!("{head}\n\n{table}\n") + &lines.collect::<String>()
 }
 
 fn given(args: &Args) -> Result<Given> {

@@ -1,6 +1,7 @@
 //! Reads the records of a run: of all hosts of a team, on a common clock, with a trial of its settings; or that of an
 //! imported run, with its mapping.
 
+use std::collections::BTreeSet;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -8,6 +9,7 @@ use anyhow::Result;
 
 use crate::record::chosen;
 use crate::replay::{confine, of_host};
+use murmurate::config::shown::counted;
 use murmurate::config::{self, regular};
 use murmurate::deploy::Routes;
 use murmurate::messages::ids::HostId;
@@ -146,6 +148,19 @@ fn imported(path: &Path, named: usize) -> Result<Recorded> {
         notes.push(format!("'{at}' was cut or is damaged: what is intact counts"));
     }
     let run = Run::imported(&log, mapping.names.len(), mapping.period_ns());
+    if run.left_out > 0 {
+        let receipts = counted(run.left_out, "receipt");
+        notes.push(format!("{receipts} left out: of messages that were sent while no robot was seen in an episode"));
+    }
+    let ways: BTreeSet<(HostId, HostId)> =
+        run.crossings.iter().filter(|one| one.took_ns.is_some()).map(|one| (one.from, one.to)).collect();
+    if let Some((from, to)) = ways.iter().find(|(from, to)| !ways.contains(&(*to, *from))) {
+        let [from, to] = [from, to].map(|host| mapping.names.get(usize::from(host.0)).map_or("?", |name| name));
+        notes.push(format!(
+            "messages go from '{from}' to '{to}', and not back: the delay is only right if both of their times are of \
+             one clock"
+        ));
+    }
     Ok(Recorded { run, origin: Origin::Elsewhere(Box::new(mapping), made), notes, digests: vec![digest(path)?] })
 }
 
