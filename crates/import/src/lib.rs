@@ -77,7 +77,7 @@ fn scenario(path: &Path, mapping: &Mapping, registry: &Registry) -> Result<Optio
     let file = path.parent().filter(|_| task_file::is_task_file(task)).map(|folder| folder.join(task));
     let name = file.as_ref().map_or(task.into(), |file| file.to_string_lossy());
     let own = Settings { hull_m: mapping.hull_m, ..Settings::default() };
-    let made = registry.scenario(&name, &Settings { robots: Some(mapping.names.len()), ..own.clone() });
+    let made = registry.scenario(&name, &Settings { robots: Some(mapping.names.len()), ..own });
     let made = made.or_else(|error| registry.scenario(&name, &own).map_err(|_| error));
     made.map(Some).map_err(|error| ConfigError::field("task", error.to_string()))
 }
