@@ -303,7 +303,7 @@ mod tests {
     use murmurate::trial::Trial;
     use murmurate_record::file::{Beginning, RecordFile};
     use murmurate_record::identity::HostIdentity;
-    use murmurate_record::topics::{Topic, Topics};
+    use murmurate_record::topics::Topics;
     use murmurate_record::{Event, Scope};
 
     /// A record of host 0 of a team with the key `key`, at which three latents of robot 1 have arrived, sent by host 1.
@@ -365,28 +365,5 @@ mod tests {
         assert!(arrived == 0 && !links && note.contains("--key-file"), "{note}");
         let (arrived, links, note) = seen(&Keys { of_team: Some(Key::new([8; 32])), ..Keys::default() });
         assert!(arrived == 0 && !links && note.contains("no datagram"), "{note}");
-    }
-
-    #[test]
-    fn messages_of_an_imported_run_count_as_sent_where_they_should_have_arrived() {
-        let folder = tempfile::TempDir::new().expect("a folder");
-        let stage = Stage::of(&Trial::preset("offboard", "passage").expect("it is a preset"));
-        let mut identity = Identity::here("1f", vec!["import".to_owned()], "");
-        (identity.anchor_ns, identity.imported) = (0, true);
-        let path = folder.path().join("lab.mcap");
-        let beginning = Beginning { identity, attached: Vec::new() };
-        let mut file = RecordFile::create(&path, &beginning, &stage).expect("it can be made");
-        // The second is lost; the last arrived, by its receiver's clock, before it was sent.
-        for (sent_ns, received_ns) in [(50, Some(60)), (100, None), (150, Some(140))] {
-            let said = serde_json::json!(Receipt { from: 1, to: 0, sent_ns, received_ns }).to_string();
-            file.write(&stage, Topic::Receipts, sent_ns as u64, said.as_bytes()).expect("it is written");
-        }
-        file.finish().expect("it is written");
-        let shown = read(&path, &Keys::default()).unwrap_or_else(|error| panic!("{}", error.0));
-        let (to, from, at) = (HostId(0), RobotId(1), Time::from_nanos);
-        let sent = |ns| (at(ns), Sight::Sent(to, from));
-        let arrived = |ns| (at(ns), Sight::Arrived(to, from));
-        assert!(shown.hears_links);
-        assert_eq!(shown.sights, [sent(50), arrived(60), sent(100), sent(150), arrived(150)]);
     }
 }
