@@ -103,10 +103,10 @@ mod tests {
         );
         let axis: GivenAxis = "scenario.walls.0.at=[1,2],[3,4]".parse().expect("it is an axis");
         assert_eq!(axis.axis.values, ["[1,2]", "[3,4]"]);
-        let axis: GivenAxis = "policy=\"a,b\",c".parse().expect("it is an axis");
-        assert_eq!(axis.axis.values, ["a,b", "c"]);
         let field = ["walls", "0", "at"].map(str::to_owned).to_vec();
         assert_eq!(axis.place, Place::Field { flag: "scenario".to_owned(), field });
+        let quoted: GivenAxis = "policy=\"a,b\",c".parse().expect("it is an axis");
+        assert_eq!(quoted.axis.values, ["a,b", "c"]);
         for (wrong, says) in [
             ("robots", "is not NAME=VALUE"),
             ("robots=", "is not NAME=VALUE"),
