@@ -68,6 +68,7 @@ def test_what_is_said_is_heard_as_many_steps_later_as_its_delay(delay_s, steps):
 
 
 def test_nothing_that_is_lost_far_away_or_of_a_former_episode_is_heard():
+    need("vmas")
     import torch
 
     for options in ({"loss": 1.0}, {"range_m": 0.0}):
@@ -79,7 +80,6 @@ def test_nothing_that_is_lost_far_away_or_of_a_former_episode_is_heard():
     seen = env.get_from_scenario(get_observations=True, get_rewards=False, get_infos=False, get_dones=False)[0]
     assert seen[0][:, -10:].any(1).tolist() == [True, True, False, True]
     # Without delay and loss a channel changes nothing: neither layouts nor observations.
-    need("vmas")
     from vmas import make_env
 
     ours, theirs = made("simple_reference", seed=5), make_env("simple_reference", 4, seed=5)
