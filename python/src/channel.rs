@@ -292,7 +292,7 @@ impl Channel {
         self.options.memory()
     }
 
-    /// How long a message counts from its arrival [s].
+    /// Time for which a message counts from its arrival [s].
     #[getter]
     fn hold_s(&self) -> f64 {
         self.options.hold_s

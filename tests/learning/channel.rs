@@ -177,7 +177,7 @@ struct Traffic {
     places: Vec<Vec<Vec2>>,
 }
 
-/// What a receiver held at a time: senders, and when that had arrived.
+/// Messages that a receiver held at a time: their senders, and when they had arrived.
 struct Look {
     at: Time,
     receiver: HostId,

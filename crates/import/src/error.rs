@@ -13,7 +13,7 @@ pub enum ImportError {
     Mapping {
         /// Path of the mapping.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Error in it, with the field.
         error: ConfigError,
     },
     /// A file of the run cannot be used.

@@ -38,7 +38,7 @@ pub struct Imported {
     pub text: String,
     /// States of the robots at the period of the mapping.
     pub steps: Steps,
-    /// What the files hold.
+    /// Poses, commands and receipts of the files.
     pub samples: Samples,
     /// Robots, hosts and ground, for pictures.
     pub stage: Stage,

@@ -63,7 +63,8 @@ pub fn stage(mapping: &Mapping, steps: &Steps, scenario: Option<&dyn Scenario>) 
     }
 }
 
-/// What was made of the files of a run. It is attached to the record, as `import.json`.
+/// Account of an import: numbers of poses and steps, and how steps were made. It is attached to the record, as
+/// `import.json`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Made {
     /// Number of poses in the files.

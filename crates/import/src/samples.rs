@@ -1,4 +1,4 @@
-//! What the files of a run hold, in one form for all of them: poses and commands of each robot, and receipts.
+//! Samples of a run, in one form for all kinds of files: poses and commands of each robot, and receipts.
 
 use murmurate_record::receipt::Receipt;
 

@@ -179,7 +179,7 @@ fn of_robot(
     steps
 }
 
-/// What tells the episodes of a run apart.
+/// Division of a run into episodes, by its mapping and its times.
 struct Cuts<'a> {
     episodes: &'a Episodes,
     /// Time of the first pose \[ns\].

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::io::Read;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use csv::{Reader, StringRecord};
@@ -147,6 +148,13 @@ impl Row<'_> {
             place.or_else(|| names.iter().position(|name| number(name).is_some_and(|n| Some(n) == number(cell))));
         place.ok_or_else(|| self.wrong(column, "it names no robot of the mapping's 'robots'"))
     }
+
+    /// Returns the robots of which the row tells: the one in `column`, or all without one.
+    fn robots(&self, column: Option<&Column>, names: &[String]) -> Result<Range<usize>, ImportError> {
+        let Some(column) = column else { return Ok(0..names.len()) };
+        let robot = self.robot(column, names)?;
+        Ok(robot..robot + 1)
+    }
 }
 
 fn metres(length: Length) -> f64 {
@@ -262,14 +270,7 @@ pub fn poses(mapping: &Mapping, (of, units): (&PoseColumns, &Units), samples: &m
             let cell = Some(row.cell(column)).filter(|cell| !cell.is_empty())?;
             Some(*labels.entry(cell.to_owned()).or_insert(next))
         });
-        let robots = match &robot {
-            Some(column) => {
-                let robot = row.robot(column, names)?;
-                robot..robot + 1
-            }
-            None => 0..names.len(),
-        };
-        for robot in robots {
+        for robot in row.robots(robot.as_ref(), names)? {
             let Some(pose) = places.pose(row, at_ns, robot, (of, units))? else { continue };
             counted(row, samples)?;
             samples.poses[robot].push(Pose { label, ..pose });
@@ -300,14 +301,7 @@ pub fn commands(
     let metre = metres(units.length);
     sheet.rows(|row| {
         let at_ns = row.time(&time, units.time)?.ok_or_else(|| row.wrong(&time, "it is empty"))?;
-        let robots = match &robot {
-            Some(column) => {
-                let robot = row.robot(column, names)?;
-                robot..robot + 1
-            }
-            None => 0..names.len(),
-        };
-        for robot in robots {
+        for robot in row.robots(robot.as_ref(), names)? {
             // An empty cell: no command came at that time.
             let Some(along) = row.number(&x[robot], metre)? else { continue };
             let across = y.as_ref().map_or(Ok(Some(0.0)), |y| row.number(&y[robot], metre))?;

@@ -51,7 +51,7 @@ pub enum Topic {
     Counts,
     /// Condition of real robots' hardware.
     Hardware,
-    /// What robots have sent to each other, and when it arrived. Only in imported records.
+    /// Messages between robots, with the times of sending and arrival. Only in imported records.
     Receipts,
 }
 

@@ -22,7 +22,7 @@ pub(super) enum Robots {
     Names(Vec<String>),
 }
 
-/// What tells the episodes of a run apart.
+/// Rule by which a run is divided into episodes.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(untagged, expecting = "a length in seconds, the name of a column, or a list of [begin, end]")]
 pub enum Episodes {

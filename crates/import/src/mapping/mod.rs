@@ -26,7 +26,7 @@ pub struct Mapping {
     pub names: Vec<String>,
     /// Time from one step of a robot to the next, for fits \[s\].
     pub period_s: f64,
-    /// What tells the episodes apart.
+    /// Rule by which the run is divided into episodes.
     pub episodes: Episodes,
     /// Name of the task, whose ground and walls are drawn; `None` for a plain ground.
     pub task: Option<String>,

@@ -39,7 +39,7 @@ pub struct Point {
     pub trial: Trial,
     /// Name of the policy in reports.
     pub policy: String,
-    /// What else determines the results: flags with their values, and digests of the files that they name.
+    /// Conditions that determine the results: flags with their values, and digests of the files that they name.
     pub conditions: Vec<String>,
 }
 

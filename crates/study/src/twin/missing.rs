@@ -1,4 +1,4 @@
-//! What a twin does not fit, because its records do not hold it, each with the reason.
+//! Quantities that a twin does not fit, because its records do not hold them, each with the reason.
 
 use std::fmt;
 
@@ -31,7 +31,7 @@ impl fmt::Display for Missing {
     }
 }
 
-/// What an imported run holds beside the poses of its robots.
+/// Parts of an imported run beside the poses of its robots.
 #[derive(Clone, Copy, Debug)]
 pub struct Held {
     /// Whether it has commands.

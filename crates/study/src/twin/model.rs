@@ -34,7 +34,7 @@ pub struct Fitted {
     pub offsets_s: Vec<Option<f64>>,
 }
 
-/// What a fit takes as given of a recorded run and its team.
+/// Known properties of a recorded run and its team, from which a fit starts.
 #[derive(Clone, Debug)]
 pub struct Basis {
     /// Time from one step of a robot to the next \[ns\].

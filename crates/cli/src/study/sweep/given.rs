@@ -113,7 +113,7 @@ impl Args for Given {
     }
 }
 
-/// Returns the digest of a file's content, to tell files of one name apart; `None` if there is none at `path`.
+/// Returns path and digest of a file, which tell files of one name apart; `None` if there is none at `path`.
 pub fn digest(path: &Path) -> Option<String> {
     let bytes = path.is_file().then(|| std::fs::read(path).ok())??;
     Some(format!("{} {}", path.display(), &blake3::hash(&bytes).to_hex()[..16]))

@@ -66,7 +66,7 @@ struct Report<'a> {
     given: &'a [String],
     rows: &'a [Row],
     agrees: bool,
-    /// What was not fitted, because the records do not hold it.
+    /// Quantities that were not fitted, because the records do not hold them.
     not_fitted: &'a [Missing],
     notes: &'a [String],
 }
