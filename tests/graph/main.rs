@@ -29,6 +29,7 @@ mod senses;
 mod shell;
 #[path = "../skip/mod.rs"]
 mod skip;
+mod space;
 mod steps;
 mod task_files;
 mod trained_tasks;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use murmurate::deploy::{Deployment, LinkMedium, MODES};
 use murmurate::messages::geometry::Vec2;
 use murmurate::net::media::radio::bianchi::Saturation;
-use murmurate::net::media::radio::{Channel, Counting, Delivery, Destination, Radio, RadioCounts, Topology};
+use murmurate::net::media::radio::{Channel, Counting, Delivery, Destination, Radio, RadioCounts, Recovery, Topology};
 use murmurate::random::Seed;
 use murmurate::time::{Span, Time};
 use murmurate::trial::Trial;
@@ -57,6 +57,20 @@ fn saturation_is_as_in_bianchis_model() {
             assert!((throughput / model.throughput - 1.0).abs() < 0.03, "n = {stations}, m = {stages}");
             assert!((collision - model.collision).abs() < 0.02, "n = {stations}, m = {stages}");
         }
+    }
+}
+
+#[test]
+fn saturation_with_few_retries_is_as_in_the_model() {
+    for (retries, stations) in [(1, 5), (1, 10), (3, 10), (7, 10)] {
+        let radio = Radio { retries, after_error: Recovery::Difs, ..ad_hoc() };
+        let model = Saturation::of_radio(&radio, usize::from(stations), 200);
+        let counts = saturated(&radio, stations, 200, 20.0);
+        let carried = counts.arrived as f64 / 20.0;
+        let collision = counts.collided as f64 / counts.transmissions as f64;
+        println!("{retries} retries, n = {stations}: {carried:.0}/s model {:.0}/s", model.frames_per_s);
+        assert!((carried / model.frames_per_s - 1.0).abs() < 0.03, "{carried} and {model:?}");
+        assert!((collision - model.collision).abs() < 0.02, "{collision} and {model:?}");
     }
 }
 

@@ -1,18 +1,32 @@
 //! Model of a radio channel of IEEE 802.11. The code is pure: it reads no clock and does no I/O. This file holds the
 //! channel's parameters and the interframe spaces that follow from them.
 //!
-//! `channel` is the distributed coordination function (DCF), `station` the queue and backoff of one station. `rate` has
-//! the airtime of frames, and `bianchi` a model of saturation. The code knows no actor, message or clock. Numbers of
-//! clauses are those of IEEE 802.11-2016. `docs/radio.md` lists what is not modelled.
+//! `channel` is the channel that callers see. Its stations (`station`, `traffic`) share a medium: one that all of them
+//! sense (`domain`), or one with space (`field`), in which each has its own view (`view`) of what others send. `links`
+//! and `powers` tell who hears whom how well, and `reading` which frames can be read among others. `rate` has the
+//! airtime of frames, `adaptation` the choice among rates, and `bianchi` a model of saturation. The code knows no
+//! actor, message or clock. Numbers of clauses are those of IEEE 802.11-2016. `docs/radio.md` lists what is not
+//! modelled.
 
+mod adaptation;
 pub mod bianchi;
 pub mod channel;
 pub mod counts;
+mod domain;
+mod field;
+mod links;
+mod powers;
+mod presets;
 pub mod rate;
+mod reading;
 mod station;
+mod traffic;
+mod view;
 
 pub use channel::{Channel, Delivery, Destination};
 pub use counts::RadioCounts;
+pub use powers::{Fading, Powers};
+pub use presets::PRESETS;
 pub use rate::{Band, Rate, Width};
 
 use serde::{Deserialize, Serialize};
@@ -50,9 +64,36 @@ pub enum Counting {
 pub enum Recovery {
     /// Stations wait the usual interframe space, as after any other frame (as in the model of Bianchi).
     Difs,
-    /// Stations wait the extended interframe space (EIFS): the usual one and the time of an acknowledgement (IEEE
-    /// 802.11-2016, 10.3.2.3.7).
+    /// Stations wait the extended interframe space (EIFS): the usual one and the time of the acknowledgement that the
+    /// frame would have had (dynamic EIFS, IEEE 802.11-2016, Table 10-5).
     Eifs,
+    /// Stations wait the extended interframe space with an acknowledgement at the lowest mandatory rate of the band
+    /// (IEEE 802.11-2016, 10.3.2.3.7).
+    EifsBasic,
+}
+
+/// Contention window of a station after it has dropped a unicast frame at its retry limit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum AfterDrop {
+    /// The window is the smallest again (IEEE 802.11-2016, 10.3.4.4).
+    #[default]
+    Reset,
+    /// The window stays as it is, until a frame is acknowledged or as many transmissions in a row have failed as the
+    /// retry limit allows for one frame and one more (IEEE 802.11-2020, 10.23.2.2, as ns-3 3.44 counts them).
+    Keep,
+}
+
+/// Choice of the rates at which stations send unicast frames.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Adaptation {
+    /// All at `Radio::rate`.
+    #[default]
+    Fixed,
+    /// By Minstrel, the rate control of Linux: each station learns for each receiver which rate carries most, up to
+    /// `Radio::rate`.
+    Minstrel,
 }
 
 /// Parameters of a radio channel of IEEE 802.11, which all its stations share.
@@ -106,54 +147,45 @@ pub struct Radio {
     /// Load by stations of other networks: the airtime of the frames that they offer to the channel, as a share of all
     /// time, 0 to 1.
     pub background: f64,
+    /// Distance up to which a station senses transmissions, and so waits for their end \[m\]; `None` for all. With it,
+    /// each station has its own view of the medium, and frames collide at receivers.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sense_m: Option<f32>,
+    /// Powers of frames at receivers, from which follow who senses, who hears, and what collisions spoil; `None` for
+    /// equal powers.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub powers: Option<Powers>,
+    /// Whether a receiver turns to a much stronger frame that begins within the preamble of the one it is reading.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub capture: bool,
+    /// Position of the access point \[m\], world frame; `None`: all stations hear it, and it hears all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub access_point_m: Option<[f32; 2]>,
+    /// Contention window of a station after it has dropped a unicast frame.
+    #[serde(skip_serializing_if = "is_default")]
+    pub after_drop: AfterDrop,
+    /// Choice of the rates of unicast frames.
+    #[serde(skip_serializing_if = "is_default")]
+    pub adaptation: Adaptation,
+    /// Period of beacons \[ms\]; 0: there are none. With an access point it sends them, otherwise a station that is
+    /// drawn for each.
+    #[serde(skip_serializing_if = "is_default")]
+    pub beacon_ms: f64,
+}
+
+/// Returns whether a field has its usual value, with which files need not name it.
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
 }
 
 /// Bytes of headers and trailers that are transmitted with each UDP datagram \[bytes\]. They are, by clauses of IEEE
 /// 802.11-2016: MAC header 24 (9.2.3), QoS control 2 (9.2.4.5), FCS 4; and LLC and SNAP 8 (RFC 1042), IPv4 20 (RFC
 /// 791), UDP 8 (RFC 768).
 pub(crate) const OVERHEAD_BYTES: usize = 24 + 2 + 4 + 8 + 20 + 8;
+/// Bytes of a beacon beside its body: MAC header 24 and FCS 4 (IEEE 802.11-2016, 9.3.3.2).
+const BEACON_OVERHEAD_BYTES: usize = 24 + 4;
 /// Length of an acknowledgement (ACK) frame of IEEE 802.11 (9.3.1.4) \[bytes\].
 pub(crate) const ACK_BYTES: usize = 14;
-
-/// Names of the predefined radio channels, which `Radio::preset` returns.
-pub const PRESETS: [&str; 4] = ["wifi", "wifi-n", "wifi-slow", "paper"];
-
-impl Default for Radio {
-    /// Returns the predefined channel `wifi`: IEEE 802.11 at 2.4 GHz with an access point, unicast at 54 Mbit/s and
-    /// multicast at 1 Mbit/s.
-    fn default() -> Radio {
-        Radio {
-            channel: Topology::Infrastructure,
-            rate: rate("ofdm-54"),
-            // The default of access points, which any station can decode.
-            basic_rate: rate("dsss-1"),
-            // The highest mandatory rate not above that of the data (10.7.6.5.2).
-            ack_rate: rate("ofdm-24"),
-            width_mhz: Width::Full,
-            band: Band::Low,
-            // Table 18-5: short slot, SIFS, contention windows of ERP.
-            slot_us: 9,
-            sifs_us: 10,
-            // Best effort of Table 9-137.
-            aifsn: 3,
-            propagation_us: 0,
-            cw_min: 15,
-            cw_max: 1023,
-            counting: Counting::Edca,
-            after_error: Recovery::Eifs,
-            retries: 7,
-            queue: 64,
-            overhead_bytes: OVERHEAD_BYTES,
-            range_m: None,
-            noise_loss: 0.0,
-            background: 0.0,
-        }
-    }
-}
-
-fn rate(name: &str) -> Rate {
-    name.parse().expect("a rate of the table")
-}
 
 /// Time intervals of medium access, which follow from the parameters of a radio channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -167,70 +199,11 @@ pub struct Times {
     pub aifs: Span,
     /// Time from the arrival of a unicast frame at its receiver to the arrival of the acknowledgement at the sender.
     pub acknowledged: Span,
-    /// Time from the end of a frame that no station could decode until stations count their backoff again.
+    /// Time from the end of a frame that could not be read until stations count their backoff again.
     pub(crate) recovery: Span,
 }
 
 impl Radio {
-    /// Returns the predefined channel named `name`, with an access point; `None` if no preset has that name. The names
-    /// are in `PRESETS`.
-    pub fn preset(name: &str) -> Option<Radio> {
-        Some(match name {
-            "wifi" => Radio::default(),
-            // Table 19-25 with Table 17-21: HT at 5 GHz.
-            "wifi-n" => Radio {
-                rate: rate("ht-mcs7"),
-                basic_rate: rate("ofdm-6"),
-                band: Band::High,
-                slot_us: 9,
-                sifs_us: 16,
-                ..Radio::default()
-            },
-            // Table 16-4 (HR/DSSS), without EDCA and its QoS control: all frames at the rate of longest range.
-            "wifi-slow" => Radio {
-                rate: rate("dsss-1"),
-                ack_rate: rate("dsss-1"),
-                slot_us: 20,
-                aifsn: 2,
-                cw_min: 31,
-                counting: Counting::Dcf,
-                overhead_bytes: OVERHEAD_BYTES - 2,
-                ..Radio::default()
-            },
-            // Fitted to two figures of the paper's network study, with five robots: at 200 messages/s, 44 % arrived
-            // within 20 ms by reliable unicast with 7 retries; at 60 messages/s, 84 % arrived by best-effort multicast.
-            // The first one was fitted with an emulation of RTPS that sent less than Fast DDS does, which needs less
-            // background for it (`docs/evidence/network-fit.md` has both media).
-            "paper" => Radio { rate: rate("ofdm-18"), noise_loss: 0.085, background: 0.6, ..Radio::default() },
-            _ => return None,
-        })
-    }
-
-    /// Returns the system of Bianchi's Table II (JSAC 18(3), 2000), an ad-hoc channel to compare with his model. Its
-    /// values: FHSS at 1 Mbit/s, MAC header 272 bits, PHY header 128 bits, ACK 112 bits and PHY header. The contention
-    /// window is 32 slots, doubled up to `stages` times, and retries are unlimited. The payload in the table, 1023
-    /// bytes, is not part of the result.
-    pub fn bianchi(stages: u32) -> Radio {
-        let fhss = rate("fhss-1");
-        Radio {
-            channel: Topology::AdHoc,
-            rate: fhss,
-            basic_rate: fhss,
-            ack_rate: fhss,
-            slot_us: 50,
-            sifs_us: 28,
-            aifsn: 2,
-            propagation_us: 1,
-            cw_min: 31,
-            cw_max: 32 * (1 << stages) - 1,
-            counting: Counting::Edca,
-            after_error: Recovery::Difs,
-            retries: u32::MAX,
-            overhead_bytes: 34,
-            ..Radio::default()
-        }
-    }
-
     /// Reads the parameters of a channel from TOML and checks them. Missing fields have the values of the preset
     /// `wifi`; an error names the wrong field.
     pub fn from_toml(text: &str) -> Result<Radio, ConfigError> {
@@ -286,7 +259,53 @@ impl Radio {
                 return wrong(field, format!("{share} is not a share of 0 to 1"));
             }
         }
-        Ok(())
+        if self.beacon_ms != 0.0 && !(1.0..=10_000.0).contains(&self.beacon_ms) {
+            return wrong("beacon_ms", format!("{} is neither 0 nor 1 to 10000", self.beacon_ms));
+        }
+        self.check_space()
+    }
+
+    /// Checks what gives the channel space.
+    fn check_space(&self) -> Result<(), ConfigError> {
+        let wrong = |field: &str, reason: &str| Err(ConfigError::field(field, reason));
+        if let Some(sense_m) = self.sense_m {
+            if sense_m.is_nan() || sense_m < 0.0 {
+                return wrong("sense_m", "it is not a distance");
+            }
+            if self.range_m.is_some_and(|range_m| range_m > sense_m) {
+                return wrong("sense_m", "a station senses what it can read; make it range_m or more");
+            }
+        }
+        if self.access_point_m.is_some() {
+            if self.channel == Topology::AdHoc {
+                return wrong("access_point_m", "an ad-hoc channel has no access point");
+            }
+            if !self.has_space() {
+                return wrong("access_point_m", "it says nothing without sense_m or powers");
+            }
+        }
+        if self.capture && self.powers.is_none() {
+            return wrong("capture", "it compares powers; give a table of powers");
+        }
+        let Some(powers) = &self.powers else { return Ok(()) };
+        if self.range_m.is_some() || self.sense_m.is_some() {
+            let field = if self.range_m.is_some() { "range_m" } else { "sense_m" };
+            return wrong(field, "distances follow from powers; leave one of the two out");
+        }
+        if self.channel == Topology::Infrastructure && self.access_point_m.is_none() {
+            return wrong("access_point_m", "powers need the place of the access point");
+        }
+        powers.check().map_err(|error| error.within("powers"))
+    }
+
+    /// Returns whether each station has its own view of the medium. Without space, all stations sense each other.
+    pub fn has_space(&self) -> bool {
+        self.sense_m.is_some() || self.powers.is_some() || self.adaptation != Adaptation::Fixed
+    }
+
+    /// Returns whether what the channel carries depends on where stations are.
+    pub fn needs_positions(&self) -> bool {
+        self.range_m.is_some() || self.sense_m.is_some() || self.powers.is_some()
     }
 
     /// Returns the time intervals of medium access that follow from the channel's parameters.
@@ -298,6 +317,9 @@ impl Radio {
         let recovery = match self.after_error {
             Recovery::Difs => aifs,
             Recovery::Eifs => answer + aifs,
+            Recovery::EifsBasic => {
+                sifs + self.band.lowest_mandatory().airtime(ACK_BYTES, self.width_mhz, self.band) + aifs
+            }
         };
         Times { slot, propagation, aifs, acknowledged: answer + propagation, recovery }
     }

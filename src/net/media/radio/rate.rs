@@ -113,6 +113,14 @@ pub enum Band {
     High,
 }
 
+impl Band {
+    /// Returns the lowest rate that all stations of the band must know (IEEE 802.11-2016, 16.1.1, 17.1.1).
+    pub(super) fn lowest_mandatory(self) -> Rate {
+        let name = if self == Band::Low { "dsss-1" } else { "ofdm-6" };
+        name.parse().expect("a rate of the table")
+    }
+}
+
 /// Data rate of IEEE 802.11. In files it is written as its name: modulation and rate in Mbit/s, such as `ofdm-12`, or
 /// the HT scheme, such as `ht-mcs7`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -125,8 +133,45 @@ pub fn all() -> impl Iterator<Item = Rate> {
 }
 
 impl Rate {
+    /// Returns the name of the rate, as in files.
+    pub(super) fn name(self) -> &'static str {
+        self.coding().name
+    }
+
+    /// Returns true for DSSS and FHSS, whose bits follow one another.
+    pub(super) fn is_serial(self) -> bool {
+        matches!(self.coding().family, Family::Serial { .. })
+    }
+
     fn coding(self) -> &'static Coding {
         &CODINGS[usize::from(self.0)]
+    }
+
+    /// Returns the rate at which a frame at this rate is acknowledged if stations choose their rates: the highest
+    /// mandatory one up to it (IEEE 802.11-2016, 10.7.6.5.2), and up to `most`.
+    pub(super) fn answer(self, most: Rate) -> Rate {
+        let bits = self.coding().bits_in_two.min(most.coding().bits_in_two);
+        let serial = self.is_serial();
+        let mandatory = |rate: &Rate| match rate.coding().family {
+            Family::Serial { .. } => serial && rate.coding().family == DSSS,
+            // Bits in two symbols at 6, 12 and 24 Mbit/s.
+            Family::Ofdm => !serial && [48, 96, 192].contains(&rate.coding().bits_in_two),
+            Family::Ht => false,
+        };
+        // Four microseconds are a symbol.
+        let fits = |rate: &Rate| serial || rate.coding().bits_in_two <= bits;
+        let found = all().filter(mandatory).filter(fits).filter(|rate| !serial || rate.0 <= self.0).last();
+        found.unwrap_or(most)
+    }
+
+    /// Returns the rates among which a station chooses that may send up to this rate, slowest first.
+    pub(super) fn choices(self, band: Band, width: Width) -> impl Iterator<Item = Rate> {
+        let family = self.coding().family;
+        all().filter(move |rate| {
+            let other = rate.coding().family;
+            let known = other == family || other == DSSS && family == Family::Ofdm && band == Band::Low;
+            known && rate.0 <= self.0 && rate.fits(width)
+        })
     }
 
     /// Returns true if this data rate exists at the channel width `width`.

@@ -7,7 +7,7 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::counts::StationCounts;
-use super::{Counting, Radio};
+use super::{AfterDrop, Counting, Radio};
 use crate::random::Stream;
 use crate::time::Span;
 
@@ -59,6 +59,8 @@ pub(super) enum Hop {
     Down,
     /// Within another network, which only occupies the medium; the frame has no receiver on this channel.
     Foreign,
+    /// From a station or the access point to nobody in particular: a beacon.
+    Beacon,
 }
 
 /// Frame in the transmit queue of a station or of the access point.
@@ -74,13 +76,16 @@ pub(super) struct QueuedFrame<T> {
     pub bytes: usize,
     /// Value that the caller passed with the frame, copied into each delivery; `None` for a frame of another network.
     pub token: Option<T>,
+    /// Whether the receiver has the frame already, and its acknowledgement was lost.
+    pub received: bool,
 }
 
 impl<T> QueuedFrame<T> {
-    /// Returns the number of final receivers of the frame; 0 for a frame of another network.
+    /// Returns the number of final receivers of the frame that it has not reached; 0 for a frame of another network and
+    /// a beacon.
     pub fn copies(&self) -> u64 {
         match &self.to {
-            _ if self.hop == Hop::Foreign => 0,
+            _ if matches!(self.hop, Hop::Foreign | Hop::Beacon) || self.received => 0,
             Destination::One(_) => 1,
             Destination::Many(all) => all.iter().filter(|&&to| to != self.from).count() as u64,
         }
@@ -95,6 +100,7 @@ impl<T> QueuedFrame<T> {
     pub fn unicast(&self) -> bool {
         match self.hop {
             Hop::Up | Hop::Foreign => true,
+            Hop::Beacon => false,
             Hop::Direct | Hop::Down => matches!(self.to, Destination::One(_)),
         }
     }
@@ -115,6 +121,16 @@ pub(super) struct Station<T> {
     counter: Option<u64>,
     window: u32,
     failures: u32,
+    /// Number of failed transmissions since the window was the smallest, of all frames.
+    failed_in_row: u32,
+}
+
+/// State of a station that tells how often the frame at the front of its queue was sent.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub(super) struct Attempts {
+    window: u32,
+    failures: u32,
+    failed_in_row: u32,
 }
 
 impl<T: Clone> Station<T> {
@@ -127,6 +143,7 @@ impl<T: Clone> Station<T> {
             counter: None,
             window: radio.cw_min,
             failures: 0,
+            failed_in_row: 0,
         }
     }
 
@@ -151,7 +168,7 @@ impl<T: Clone> Station<T> {
     /// unless one is still in progress (IEEE 802.11-2016, 10.3.4.2, 10.3.4.3).
     pub fn ready_after(&mut self, stream: &mut Stream) {
         if self.counter.is_none() {
-            self.draw(stream);
+            self.count_from(stream.random());
         }
     }
 
@@ -169,43 +186,69 @@ impl<T: Clone> Station<T> {
         false
     }
 
-    /// Ends a frame that was acknowledged or is not sent again: draws the backoff before the next one (IEEE
-    /// 802.11-2016, 10.3.4.3).
-    pub fn done(&mut self, radio: &Radio, stream: &mut Stream) {
-        (self.window, self.failures) = (radio.cw_min, 0);
-        self.draw(stream);
+    /// Ends a frame that was acknowledged or is not sent again: the backoff before the next one follows from the random
+    /// number `drawn` (IEEE 802.11-2016, 10.3.4.3).
+    pub fn done(&mut self, radio: &Radio, drawn: u32) {
+        (self.window, self.failed_in_row) = (radio.cw_min, 0);
+        self.next_frame(drawn);
+    }
+
+    /// Handles a missing acknowledgement: doubles the contention window and puts the frame back at the front of the
+    /// queue (IEEE 802.11-2016, 10.3.3, 10.3.4.4). At the retry limit, returns the frame as lost instead; otherwise
+    /// `None`. The backoff follows from the random number `drawn`.
+    pub fn failed(&mut self, frame: QueuedFrame<T>, radio: &Radio, drawn: u32) -> Option<QueuedFrame<T>> {
+        let dropped = self.failures >= radio.retries;
+        self.failed_in_row += 1;
+        let starts_anew = match radio.after_drop {
+            AfterDrop::Reset => dropped,
+            AfterDrop::Keep => self.failed_in_row > radio.retries.saturating_add(1),
+        };
+        if starts_anew {
+            (self.window, self.failed_in_row) = (radio.cw_min, 0);
+        } else {
+            self.window = (2 * self.window + 1).min(radio.cw_max);
+        }
+        if dropped {
+            self.next_frame(drawn);
+            return Some(frame);
+        }
+        self.queue.push_front(frame);
+        self.failures += 1;
+        self.count_from(drawn);
+        None
+    }
+
+    /// Returns what `done` forgets of the frame that it ends.
+    pub fn attempts(&self) -> Attempts {
+        Attempts { window: self.window, failures: self.failures, failed_in_row: self.failed_in_row }
+    }
+
+    /// Undoes `done`, before which `attempts` was so.
+    pub fn restore(&mut self, attempts: Attempts) {
+        Attempts { window: self.window, failures: self.failures, failed_in_row: self.failed_in_row } = attempts;
+    }
+
+    fn next_frame(&mut self, drawn: u32) {
+        self.failures = 0;
+        self.count_from(drawn);
         if self.queue.is_empty() {
             self.queue.extend(self.refill.clone());
         }
     }
 
-    /// Handles a missing acknowledgement: doubles the contention window and puts the frame back at the front of the
-    /// queue (IEEE 802.11-2016, 10.3.3, 10.3.4.4). At the retry limit, returns the frame as lost instead; otherwise
-    /// `None`.
-    pub fn failed(&mut self, frame: QueuedFrame<T>, radio: &Radio, stream: &mut Stream) -> Option<QueuedFrame<T>> {
-        if self.failures >= radio.retries {
-            self.done(radio, stream);
-            return Some(frame);
-        }
-        self.queue.push_front(frame);
-        self.failures += 1;
-        self.window = (2 * self.window + 1).min(radio.cw_max);
-        self.draw(stream);
-        None
-    }
-
-    fn draw(&mut self, stream: &mut Stream) {
-        self.counter = Some(u64::from(stream.random_range(0..=self.window)));
+    /// Sets the backoff counter to a number of the contention window, each as likely as the others: its size is a power
+    /// of two.
+    fn count_from(&mut self, drawn: u32) {
+        self.counter = Some((u64::from(drawn) * (u64::from(self.window) + 1)) >> u32::BITS);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::Seed;
 
     fn frame() -> QueuedFrame<u8> {
-        QueuedFrame { hop: Hop::Direct, from: 0, to: Destination::One(1), bytes: 100, token: Some(0) }
+        QueuedFrame { hop: Hop::Direct, from: 0, to: Destination::One(1), bytes: 100, token: Some(0), received: false }
     }
 
     #[test]
@@ -223,26 +266,54 @@ mod tests {
     #[test]
     fn a_contention_window_doubles_up_to_its_maximum_and_a_frame_is_dropped_at_the_retry_limit() {
         let radio = Radio { cw_max: 63, retries: 3, ..Radio::default() };
-        let (mut station, mut stream) = (Station::new(&radio), Seed::of_run(1).stream("station"));
+        let mut station = Station::new(&radio);
         let mut windows = Vec::new();
         for _ in 0..3 {
-            assert!(station.failed(frame(), &radio, &mut stream).is_none());
+            assert!(station.failed(frame(), &radio, 0).is_none());
             windows.push(station.window);
             station.queue.clear();
         }
         assert_eq!(windows, [31, 63, 63]);
-        assert!(station.failed(frame(), &radio, &mut stream).is_some(), "once and three times more");
+        assert!(station.failed(frame(), &radio, 0).is_some(), "once and three times more");
         assert_eq!((station.window, station.failures), (15, 0));
+    }
+
+    #[test]
+    fn a_window_that_is_kept_outlives_a_dropped_frame() {
+        let radio = Radio { retries: 1, after_drop: AfterDrop::Keep, ..Radio::default() };
+        let mut station = Station::new(&radio);
+        let mut windows = Vec::new();
+        for _ in 0..4 {
+            station.failed(frame(), &radio, 0);
+            windows.push(station.window);
+            station.queue.clear();
+        }
+        assert_eq!(windows, [31, 63, 15, 31], "the third failure in a row is one more than a frame may have");
+        station.done(&radio, 0);
+        assert_eq!(station.window, 15);
+    }
+
+    #[test]
+    fn a_backoff_has_every_number_of_the_window() {
+        let radio = Radio::default();
+        let mut station = Station::new(&radio);
+        station.queue.push_back(frame());
+        for number in 0..16_u32 {
+            for drawn in [number << 28, (number << 28) + (1 << 28) - 1] {
+                station.done(&radio, drawn);
+                assert_eq!(station.slot(), Some(u64::from(number)));
+            }
+        }
     }
 
     #[test]
     fn every_frame_is_followed_by_a_backoff() {
         let radio = Radio { cw_min: 1023, ..Radio::default() };
-        let (mut station, mut stream) = (Station::<u8>::new(&radio), Seed::of_run(1).stream("station"));
-        station.done(&radio, &mut stream);
+        let mut station = Station::<u8>::new(&radio);
+        station.done(&radio, 1 << 31);
         assert_eq!(station.slot(), None, "there is nothing to send");
         let counter = station.counter.unwrap();
-        assert!(counter > 4, "the seed gives a long backoff");
+        assert_eq!(counter, 512);
         station.ready_at(3);
         assert_eq!(station.counter, Some(counter), "a frame that comes early waits for the backoff");
         station.ready_at(2000);

@@ -1,0 +1,354 @@
+//! A medium with space: each station has its own view of what others send, and frames collide at receivers.
+//!
+//! Stations that do not sense each other are hidden from each other. An acknowledgement is a transmission of its own,
+//! with its own hearers, and can be lost. If all stations sense and read each other, the field is the domain of
+//! `domain`: with the same seed, each delivery is the same.
+
+mod ending;
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+use serde::{Deserialize, Serialize};
+
+use super::adaptation::Rates;
+use super::links::{Hearer, Links};
+use super::rate::Rate;
+use super::station::{Attempts, Destination, Hop, QueuedFrame};
+use super::traffic::{Delivery, Traffic};
+use super::view::{Arrival, Receiver, View};
+use super::{ACK_BYTES, Topology};
+use crate::messages::geometry::Vec2;
+use crate::random::{Seed, Stream, stored};
+use crate::time::Time;
+
+/// Probability of reading a frame from which on no random number is drawn for it.
+const CERTAIN: f64 = 1.0 - 1e-9;
+
+/// Event of a field, in the order in which those of one instant are handled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+enum Event {
+    /// A transmission ends; its number.
+    End(u32),
+    /// A station begins to acknowledge the frame it has read; its index.
+    Acknowledge(u16),
+    /// The backoff of a station ends; its index, and the number of its plan.
+    Begin(u16, u32),
+}
+
+/// What a transmission carries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+enum Cargo {
+    /// The frame at the front of the sender's queue.
+    Frame,
+    /// An acknowledgement for the station with this index.
+    Acknowledgement(u16),
+}
+
+/// Transmission on the air.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Air {
+    by: u16,
+    since: Time,
+    cargo: Cargo,
+    rate: Rate,
+    /// Whether the sender has sensed another transmission meanwhile.
+    overlapped: bool,
+    hearers: Vec<Hearer>,
+}
+
+/// Reception of a frame at one station that it reaches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+enum Reception {
+    /// It is too weak to be read.
+    Far,
+    /// Noise, shadowing or fading has spoilt it.
+    Faded,
+    /// Another frame has spoilt it, or the station was sending.
+    Collided,
+    /// It is read.
+    Read,
+}
+
+/// Frame whose receiver has read it, and whose acknowledgement is under way.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Awaited<T> {
+    frame: QueuedFrame<T>,
+    attempts: Attempts,
+    drawn: u32,
+}
+
+/// What came of a station's own transmission that has ended, while the medium around it is still busy. The frame is
+/// still in its queue.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+enum Outcome {
+    /// The frame is done.
+    Done,
+    /// No acknowledgement will come.
+    Failed,
+}
+
+/// Medium in which each station has its own view.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Field<T> {
+    receiver: Receiver,
+    links: Links,
+    rates: Rates,
+    /// View of each station, by its index.
+    views: Vec<View>,
+    /// Positions of all stations, with the access point and the station of other networks; renewed as stations move.
+    #[serde(skip)]
+    places: Option<Vec<Option<Vec2>>>,
+    airs: Vec<Option<Air>>,
+    idle_airs: Vec<u32>,
+    events: BinaryHeap<Reverse<(Time, Event)>>,
+    /// Acknowledgement that each station is about to send: to whom, and at which rate.
+    owed: Vec<Option<(u16, Rate)>>,
+    awaited: Vec<Option<Awaited<T>>>,
+    outcomes: Vec<Option<Outcome>>,
+    on_air: OnAir,
+    /// Reception at each station of the transmission that ends.
+    #[serde(skip)]
+    receptions: Vec<Reception>,
+    #[serde(skip)]
+    spare: Vec<Vec<Hearer>>,
+    #[serde(with = "stored")]
+    fading: Stream,
+    #[serde(with = "stored")]
+    reading: Stream,
+}
+
+/// Time with anything on the air anywhere, to count it.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+struct OnAir {
+    number: u32,
+    own: bool,
+    since: Time,
+    until: Time,
+}
+
+impl<T: Clone> Field<T> {
+    /// Returns an idle medium at time zero.
+    pub fn new(traffic: &Traffic<T>, seed: &Seed) -> Field<T> {
+        let stations = traffic.stations.len();
+        let free_at = Time::ZERO + traffic.times.aifs;
+        Field {
+            receiver: Receiver::new(&traffic.radio),
+            links: Links::new(stations),
+            rates: Rates::new(&traffic.radio, seed),
+            views: vec![View::new(free_at); stations],
+            places: None,
+            airs: Vec::new(),
+            idle_airs: Vec::new(),
+            events: BinaryHeap::new(),
+            owed: vec![None; stations],
+            awaited: vec![None; stations],
+            outcomes: vec![None; stations],
+            on_air: OnAir::default(),
+            receptions: Vec::new(),
+            spare: Vec::new(),
+            fading: seed.stream("fading"),
+            reading: seed.stream("reading"),
+        }
+    }
+
+    /// Takes note that stations have moved.
+    pub fn moved(&mut self) {
+        self.places = None;
+    }
+
+    /// Sets the walls that weaken frames.
+    pub fn wall_in(&mut self, walls: &[[Vec2; 2]]) {
+        self.links.wall_in(walls);
+    }
+
+    /// Returns the time of the next event.
+    pub fn due(&self) -> Option<Time> {
+        self.events.peek().map(|Reverse((at, _))| *at)
+    }
+
+    /// Queues a frame at a station; if its queue was empty, schedules its transmission.
+    pub fn push(&mut self, traffic: &mut Traffic<T>, now: Time, station: usize, frame: QueuedFrame<T>) {
+        if !traffic.enqueue(station, frame) {
+            return;
+        }
+        let view = &self.views[station];
+        if view.busy > 0 || now < view.free_at {
+            traffic.stations[station].ready_after(&mut traffic.backoff);
+        } else {
+            let idle = now.since(view.free_at).as_nanos();
+            traffic.stations[station].ready_at(idle.div_ceil(traffic.times.slot.as_nanos()));
+        }
+        self.plan(traffic, station);
+    }
+
+    /// Handles all events of the instant `now`: what ends, and then what begins.
+    pub fn wake(&mut self, traffic: &mut Traffic<T>, now: Time, deliveries: &mut Vec<Delivery<T>>) {
+        while let Some(event) = self.next(now, |_| true) {
+            match event {
+                Event::End(air) => self.end(traffic, now, air, deliveries),
+                begins => self.begin(traffic, now, begins),
+            }
+        }
+    }
+
+    /// Removes and returns the next event up to `now` that is wanted.
+    fn next(&mut self, now: Time, wanted: fn(&Event) -> bool) -> Option<Event> {
+        let &Reverse((at, event)) = self.events.peek()?;
+        if at > now || !wanted(&event) {
+            return None;
+        }
+        self.events.pop();
+        Some(event)
+    }
+
+    /// Schedules the transmission of a station's next frame, if the medium around it is idle.
+    fn plan(&mut self, traffic: &Traffic<T>, station: usize) {
+        let view = &mut self.views[station];
+        view.plan = view.plan.wrapping_add(1);
+        if view.busy > 0 {
+            return;
+        }
+        if let Some(slot) = traffic.stations[station].slot() {
+            let at = view.free_at + traffic.times.slot * slot;
+            self.events.push(Reverse((at, Event::Begin(station as u16, view.plan))));
+        }
+    }
+
+    /// Begins the transmissions of all stations that are to begin at `now`, from the one of the event `first` on: none
+    /// of them can sense the others in time.
+    fn begin(&mut self, traffic: &mut Traffic<T>, now: Time, first: Event) {
+        let mut begun = Vec::new();
+        let mut event = Some(first);
+        while let Some(begins) = event {
+            match begins {
+                Event::End(_) => unreachable!("what begins has no end yet"),
+                Event::Acknowledge(station) => {
+                    let (to, rate) = self.owed[usize::from(station)].take().expect("a station that owes");
+                    let cargo = Cargo::Acknowledgement(to);
+                    begun.push((self.send(traffic, now, station, cargo, (rate, ACK_BYTES)), ACK_BYTES));
+                }
+                Event::Begin(station, plan) if self.views[usize::from(station)].plan == plan => {
+                    let by = usize::from(station);
+                    let slot = self.views[by].slots(now, traffic.times.slot).expect("a station that counts slots");
+                    let ready = traffic.stations[by].pass(slot, traffic.radio.counting);
+                    assert!(ready, "a plan is void once the station may not send");
+                    let frame = traffic.stations[by].queue.front().expect("a station that sends has a frame");
+                    let bytes = traffic.radio.overhead_bytes + frame.bytes;
+                    let rate = self.rate_of(traffic, now, by);
+                    begun.push((self.send(traffic, now, station, Cargo::Frame, (rate, bytes)), bytes));
+                }
+                Event::Begin(..) => {}
+            }
+            event = self.next(now, |event| !matches!(event, Event::End(_)));
+        }
+        for (air, bytes) in begun {
+            self.spread(traffic, now, air, bytes);
+        }
+    }
+
+    /// Returns the rate at which a station sends the frame at the front of its queue.
+    fn rate_of(&mut self, traffic: &Traffic<T>, now: Time, by: usize) -> Rate {
+        let station = &traffic.stations[by];
+        let frame = station.queue.front().expect("a station that sends has a frame");
+        match receiver_of(traffic, frame) {
+            Some(to) => self.rates.of_frame(&traffic.radio, now, (by as u16, to), station.failures()),
+            None if frame.unicast() => traffic.radio.rate,
+            None => traffic.radio.basic_rate,
+        }
+    }
+
+    /// Puts a transmission of a station on the air, and returns its number.
+    fn send(&mut self, traffic: &Traffic<T>, now: Time, by: u16, cargo: Cargo, (rate, bytes): (Rate, usize)) -> u32 {
+        let airtime = rate.airtime(bytes, traffic.radio.width_mhz, traffic.radio.band);
+        let number = self.idle_airs.pop().unwrap_or_else(|| {
+            self.airs.push(None);
+            self.airs.len() as u32 - 1
+        });
+        let mut hearers = self.spare.pop().unwrap_or_default();
+        hearers.clear();
+        let places = self.places.get_or_insert_with(|| {
+            self.links.moved();
+            places(traffic)
+        });
+        self.links.hearers(&traffic.radio, places, by, &mut self.fading, &mut hearers);
+        self.airs[number as usize] = Some(Air { by, since: now, cargo, rate, overlapped: false, hearers });
+        self.events.push(Reverse((now + airtime + traffic.times.propagation, Event::End(number))));
+        self.views[usize::from(by)].send(number);
+        let frame = traffic.stations[usize::from(by)].queue.front();
+        self.on_air.begin(now, cargo != Cargo::Frame || frame.is_some_and(|frame| frame.hop != Hop::Foreign));
+        number
+    }
+
+    /// Lets the hearers of a transmission that has begun know of it.
+    fn spread(&mut self, traffic: &mut Traffic<T>, now: Time, number: u32, bytes: usize) {
+        let mut air = self.airs[number as usize].take().expect("a transmission on the air");
+        let airtime = air.rate.airtime(bytes, traffic.radio.width_mhz, traffic.radio.band);
+        let bits_per_s = 8.0 * bytes as f64 / airtime.as_secs();
+        for hearer in air.hearers.iter().filter(|hearer| hearer.station != air.by) {
+            let at = usize::from(hearer.station);
+            let view = &mut self.views[at];
+            if hearer.power > 0.0 {
+                let arrival = Arrival { air: number, power: hearer.power, rate: air.rate, bits_per_s };
+                view.arrive(now, arrival, &self.receiver);
+            }
+            if !hearer.sensed {
+                continue;
+            }
+            if view.busy == 0 {
+                view.plan = view.plan.wrapping_add(1);
+                if let Some(slot) = view.slots(now, traffic.times.slot) {
+                    traffic.stations[at].pass(slot, traffic.radio.counting);
+                }
+            }
+            view.busy += 1;
+            if let Some(other) = view.sending {
+                air.overlapped = true;
+                self.airs[other as usize].iter_mut().for_each(|other| other.overlapped = true);
+            }
+        }
+        self.airs[number as usize] = Some(air);
+    }
+}
+
+impl OnAir {
+    /// Counts that a transmission begins.
+    fn begin(&mut self, now: Time, own: bool) {
+        if self.number == 0 {
+            *self = OnAir { since: now.max(self.until), until: self.until, own: false, number: 0 };
+        }
+        self.number += 1;
+        self.own |= own;
+    }
+
+    /// Counts that a transmission ends, of which the medium is taken up to `until`.
+    fn end<T>(&mut self, until: Time, traffic: &mut Traffic<T>) {
+        self.until = self.until.max(until);
+        self.number -= 1;
+        if self.number == 0 {
+            let counts = &mut traffic.counts;
+            let time = if self.own { &mut counts.airtime_ns } else { &mut counts.foreign_ns };
+            *time += self.until.as_nanos().saturating_sub(self.since.as_nanos());
+        }
+    }
+}
+
+/// Returns the station that acknowledges a unicast frame; `None` for multicast, and for frames of other networks.
+fn receiver_of<T>(traffic: &Traffic<T>, frame: &QueuedFrame<T>) -> Option<u16> {
+    match (frame.hop, &frame.to) {
+        (Hop::Foreign | Hop::Beacon, _) => None,
+        (Hop::Up, _) => Some(traffic.members),
+        (_, Destination::One(to)) => Some(*to),
+        (_, Destination::Many(_)) => None,
+    }
+}
+
+/// Returns the position of each station of the channel.
+fn places<T>(traffic: &Traffic<T>) -> Vec<Option<Vec2>> {
+    let mut all = traffic.positions.clone();
+    if traffic.radio.channel == Topology::Infrastructure {
+        all.push(traffic.radio.access_point_m.map(Vec2::from));
+    }
+    all.resize(traffic.stations.len(), None);
+    all
+}

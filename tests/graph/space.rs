@@ -1,0 +1,231 @@
+//! The radio channel with space: equal to the channel without it where all hear all, and what hidden stations, walls,
+//! and an access point in a place do.
+
+use std::sync::Arc;
+
+use murmurate::messages::geometry::Vec2;
+use murmurate::net::media::radio::channel::Transmission;
+use murmurate::net::media::radio::counts::StationCounts;
+use murmurate::net::media::radio::{
+    Adaptation, Channel, Delivery, Destination, Powers, Radio, RadioCounts, Recovery, Topology,
+};
+use murmurate::random::{RngExt, Seed};
+use murmurate::time::{Span, Time};
+
+fn at_s(s: f64) -> Time {
+    Time::ZERO + Span::from_secs(s)
+}
+
+fn ad_hoc() -> Radio {
+    Radio { channel: Topology::AdHoc, ..Radio::default() }
+}
+
+/// All that a channel tells of a run.
+type Told = (Vec<Delivery<u32>>, RadioCounts, Vec<StationCounts>, Vec<Transmission<u32>>);
+
+/// Runs five stations that send frames of many sizes to one and to all, at random times, about as fast as the channel
+/// carries them.
+fn mixed(radio: &Radio, seed: u64, mean_s: f64) -> Told {
+    let stations = 5;
+    let mut channel = Channel::new(radio.clone(), stations, &Seed::of_run(seed));
+    channel.record_transmissions();
+    let mut load = Seed::of_run(seed).stream("load");
+    let all: Arc<[u16]> = (0..stations).collect();
+    let (mut arrived, mut s) = (Vec::new(), 0.0);
+    for number in 0..1500 {
+        s += load.random_range(0.0..2.0 * mean_s);
+        channel.wake(at_s(s), &mut arrived);
+        let from = load.random_range(0..stations);
+        let to = match load.random_range(0..3) {
+            0 => Destination::One((from + load.random_range(1..stations)) % stations),
+            _ => Destination::Many(Arc::clone(&all)),
+        };
+        channel.offer(at_s(s), from, to, load.random_range(20..1400), number);
+    }
+    let end = at_s(s + 5.0);
+    channel.wake(end, &mut arrived);
+    let of_stations = (0..stations).map(|station| channel.station_counts(station)).collect();
+    let mut transmissions = channel.transmissions();
+    // Of frames that collide, the one whose station comes first, or that ends first.
+    transmissions.sort_by_key(|one| (one.since, one.by));
+    (arrived, channel.counts(end), of_stations, transmissions)
+}
+
+#[test]
+fn where_all_hear_all_a_channel_with_space_is_the_one_without() {
+    let presets = ["wifi", "wifi-n", "wifi-slow", "wifi-ibss", "paper"].map(|name| Radio::preset(name).unwrap());
+    let mut radios: Vec<Radio> = presets.to_vec();
+    radios.extend(presets.map(|preset| Radio { channel: Topology::AdHoc, ..preset }));
+    radios.push(Radio { after_error: Recovery::Difs, noise_loss: 0.3, ..ad_hoc() });
+    radios.push(Radio { retries: 1, queue: 3, background: 0.3, ..Radio::default() });
+    for (at, radio) in radios.iter().enumerate() {
+        let space = Radio { sense_m: Some(1.0), ..radio.clone() };
+        assert!(space.has_space() && !radio.has_space());
+        for seed in 1..=3 {
+            // At a slow and at a fast load.
+            for mean_s in [0.006, 0.001] {
+                let (without, with) = (mixed(radio, seed, mean_s), mixed(&space, seed, mean_s));
+                assert!(without.0.len() > 300, "radio {at}: {} deliveries", without.0.len());
+                let what = format!("radio {at}, seed {seed}, mean {mean_s} s");
+                let differs = without.0.iter().zip(&with.0).position(|(one, other)| one != other);
+                assert_eq!((without.0.len(), None), (with.0.len(), differs), "deliveries, {what}");
+                assert_eq!(without.1, with.1, "{what}");
+                assert_eq!(without.2, with.2, "{what}");
+                assert!(without.3 == with.3, "transmissions, {what}");
+            }
+        }
+    }
+}
+
+/// Returns the counters of two stations that both send to a third one, at the same rate.
+fn two_to_the_middle(radio: &Radio, places: [[f32; 2]; 3]) -> RadioCounts {
+    let mut channel: Channel<u32> = Channel::new(radio.clone(), 3, &Seed::of_run(1));
+    for (station, place) in (0..).zip(places) {
+        channel.place(station, Vec2::from(place));
+    }
+    let mut load = Seed::of_run(1).stream("load");
+    let (mut arrived, mut s) = (Vec::new(), 0.0);
+    for number in 0..4000 {
+        s += load.random_range(0.0..0.0016);
+        channel.wake(at_s(s), &mut arrived);
+        channel.offer(at_s(s), [0, 2][number as usize % 2], Destination::One(1), 200, number);
+    }
+    channel.wake(at_s(s + 2.0), &mut arrived);
+    let mut tokens: Vec<u32> = arrived.iter().map(|one| one.token).collect();
+    tokens.sort_unstable();
+    assert!(tokens.windows(2).all(|pair| pair[0] < pair[1]), "no datagram is delivered twice");
+    channel.counts(at_s(s + 2.0))
+}
+
+const LINE: [[f32; 2]; 3] = [[0.0, 0.0], [25.0, 0.0], [50.0, 0.0]];
+
+#[test]
+fn hidden_stations_collide_at_the_one_between_them() {
+    let near = two_to_the_middle(&Radio { sense_m: Some(60.0), ..ad_hoc() }, LINE);
+    let hidden = two_to_the_middle(&Radio { range_m: Some(30.0), sense_m: Some(30.0), ..ad_hoc() }, LINE);
+    assert!(hidden.collided > 5 * near.collided.max(1), "{hidden:?}\n{near:?}");
+    assert_eq!((hidden.wanted, hidden.arrived + hidden.lost()), (4000, 4000));
+    assert!(hidden.lost_retries < 10, "retries carry almost all: {hidden:?}");
+}
+
+#[test]
+fn two_pairs_that_are_apart_share_no_airtime() {
+    let run = |gap_m: f32| {
+        let radio = Radio { sense_m: Some(30.0), range_m: Some(30.0), ..ad_hoc() };
+        let mut channel = Channel::new(radio, 4, &Seed::of_run(3));
+        for (station, x) in [(0, 0.0), (1, 10.0), (2, gap_m), (3, gap_m + 10.0)] {
+            channel.place(station, Vec2::new(x, 0.0));
+        }
+        channel.saturate(Time::ZERO, 0, Destination::One(1), 200, ());
+        channel.saturate(Time::ZERO, 2, Destination::One(3), 200, ());
+        channel.wake(at_s(5.0), &mut Vec::new());
+        channel.counts(at_s(5.0))
+    };
+    let (shared, apart) = (run(15.0), run(100.0));
+    assert!(apart.arrived as f64 > 1.6 * shared.arrived as f64, "{} and {}", apart.arrived, shared.arrived);
+    assert_eq!(apart.collided, 0);
+}
+
+#[test]
+fn an_access_point_in_a_place_hears_stations_that_are_hidden_from_each_other() {
+    let at = |sense_m: f32| {
+        let radio = Radio { sense_m: Some(sense_m), access_point_m: Some([25.0, 0.0]), ..Radio::default() };
+        two_to_the_middle(&radio, LINE)
+    };
+    let (hidden, near) = (at(30.0), at(60.0));
+    assert!(hidden.collided > 4 * near.collided.max(1), "{hidden:?}\n{near:?}");
+    assert_eq!(near.arrived, 4000);
+}
+
+#[test]
+fn a_lost_acknowledgement_repeats_the_frame_and_delivers_it_once() {
+    // What reaches the receiver at 6 Mbit/s is too weak for an acknowledgement at 54 on its way back.
+    let rate = |name: &str| name.parse().unwrap();
+    let powers = Powers { detect_db: 0.0, detect_dbm: -100.0, sense_dbm: -100.0, ..Powers::default() };
+    let radio = Radio { rate: rate("ofdm-6"), ack_rate: rate("ofdm-54"), powers: Some(powers), ..ad_hoc() };
+    let mut channel: Channel<u32> = Channel::new(radio, 2, &Seed::of_run(1));
+    channel.place(0, Vec2::new(0.0, 0.0));
+    channel.place(1, Vec2::new(110.0, 0.0));
+    let mut arrived = Vec::new();
+    channel.offer(Time::ZERO, 0, Destination::One(1), 200, 7);
+    channel.wake(at_s(1.0), &mut arrived);
+    let counts = channel.counts(at_s(1.0));
+    assert_eq!((arrived.len(), counts.transmissions, counts.lost()), (1, 8, 0), "{counts:?}");
+}
+
+#[test]
+fn a_wall_keeps_frames_from_the_next_room() {
+    let powers = Powers { wall_db: 60.0, ..Powers::default() };
+    let reached = |walls: &[[Vec2; 2]]| {
+        let mut channel = Channel::new(Radio { powers: Some(powers.clone()), ..ad_hoc() }, 3, &Seed::of_run(1));
+        for (station, x) in [(0, 0.0), (1, 4.0), (2, 8.0)] {
+            channel.place(station, Vec2::new(x, 0.0));
+        }
+        channel.wall_in(walls);
+        let mut arrived = Vec::new();
+        channel.offer(Time::ZERO, 0, Destination::Many(Arc::new([0, 1, 2])), 200, ());
+        channel.wake(at_s(1.0), &mut arrived);
+        arrived.iter().map(|one| one.to).collect::<Vec<_>>()
+    };
+    assert_eq!(reached(&[]), [1, 2]);
+    assert_eq!(reached(&[[Vec2::new(6.0, -3.0), Vec2::new(6.0, 3.0)]]), [1]);
+}
+
+#[test]
+fn a_station_finds_a_rate_for_each_receiver() {
+    let powers = Powers { detect_db: 0.0, detect_dbm: -100.0, sense_dbm: -100.0, ..Powers::default() };
+    let run = |adaptation: Adaptation| {
+        let mut channel =
+            Channel::new(Radio { adaptation, powers: Some(powers.clone()), ..ad_hoc() }, 3, &Seed::of_run(1));
+        for (station, x) in [(0, 0.0), (1, 10.0), (2, 90.0)] {
+            channel.place(station, Vec2::new(x, 0.0));
+        }
+        let mut arrived = Vec::new();
+        for number in 0..2000_u32 {
+            let now = at_s(0.01 * f64::from(number + 1));
+            channel.wake(now, &mut arrived);
+            channel.offer(now, 0, Destination::One(1 + (number % 2) as u16), 200, ());
+        }
+        channel.wake(at_s(30.0), &mut arrived);
+        [1, 2].map(|to| arrived.iter().filter(|one| one.to == to).count())
+    };
+    assert_eq!(run(Adaptation::Fixed), [1000, 0], "54 Mbit/s does not reach so far");
+    assert_eq!(run(Adaptation::Minstrel), [1000, 1000]);
+}
+
+#[test]
+fn beacons_take_a_hundredth_of_a_slow_channel() {
+    for channel in [Topology::AdHoc, Topology::Infrastructure] {
+        let mut channel: Channel<()> =
+            Channel::new(Radio { channel, beacon_ms: 102.4, ..Radio::default() }, 5, &Seed::of_run(1));
+        channel.wake(at_s(60.0), &mut Vec::new());
+        let counts = channel.counts(at_s(60.0));
+        assert_eq!((counts.transmissions, counts.wanted, counts.lost()), (585, 0, 0));
+        assert!((counts.airtime() - 0.011).abs() < 0.002, "{}", counts.airtime());
+    }
+}
+
+#[test]
+fn a_channel_with_space_continues_from_where_it_was_stored() {
+    let powers = Powers { shadowing_db: 4.0, ..Powers::default() };
+    let radio = Radio { powers: Some(powers), adaptation: Adaptation::Minstrel, ..ad_hoc() };
+    let mut channel: Channel<u32> = Channel::new(radio, 6, &Seed::of_run(4));
+    for station in 0..6 {
+        channel.place(station, Vec2::new(12.0 * f32::from(station), 0.0));
+    }
+    let run = |channel: &mut Channel<u32>, steps: std::ops::Range<u32>| {
+        let mut arrived = Vec::new();
+        for step in steps {
+            let now = at_s(0.0004 * f64::from(step + 1));
+            channel.wake(now, &mut arrived);
+            channel.offer(now, (step % 6) as u16, Destination::One(((step + 1) % 6) as u16), 200, step);
+        }
+        arrived
+    };
+    run(&mut channel, 0..500);
+    let stored = rmp_serde::to_vec_named(&channel).unwrap();
+    let mut again: Channel<u32> = rmp_serde::from_slice(&stored).unwrap();
+    let (first, second) = (run(&mut channel, 500..1500), run(&mut again, 500..1500));
+    assert!(first.len() > 300, "{}", first.len());
+    assert_eq!(first, second);
+}
