@@ -359,12 +359,10 @@ impl Deployment {
     }
 
     /// Returns the deployment with the emulated channel `radio` on every link whose medium is a radio; each link has a
-    /// channel of its own. The radio's range applies only to ad hoc links: other frames go through an access point.
+    /// channel of its own, as far as its topology allows ([`Radio::on`]).
     pub fn with_radio(mut self, radio: &Radio) -> Deployment {
         for link in &mut self.links {
-            let Some(channel) = link.medium.topology() else { continue };
-            let range_m = radio.range_m.filter(|_| channel == Topology::AdHoc);
-            link.radio = Some(Radio { channel, range_m, ..radio.clone() });
+            link.radio = link.medium.topology().map(|channel| radio.on(channel)).or(link.radio.take());
         }
         self
     }

@@ -156,7 +156,7 @@ fn a_lost_acknowledgement_repeats_the_frame_and_delivers_it_once() {
 #[test]
 fn a_wall_keeps_frames_from_the_next_room() {
     let powers = Powers { wall_db: 60.0, ..Powers::default() };
-    let reached = |walls: &[[Vec2; 2]]| {
+    let reached = |walls: Vec<Vec<[f32; 2]>>| {
         let mut channel = Channel::new(Radio { powers: Some(powers.clone()), ..ad_hoc() }, 3, &Seed::of_run(1));
         for (station, x) in [(0, 0.0), (1, 4.0), (2, 8.0)] {
             channel.place(station, Vec2::new(x, 0.0));
@@ -167,8 +167,10 @@ fn a_wall_keeps_frames_from_the_next_room() {
         channel.wake(at_s(1.0), &mut arrived);
         arrived.iter().map(|one| one.to).collect::<Vec<_>>()
     };
-    assert_eq!(reached(&[]), [1, 2]);
-    assert_eq!(reached(&[[Vec2::new(6.0, -3.0), Vec2::new(6.0, 3.0)]]), [1]);
+    assert_eq!(reached(Vec::new()), [1, 2]);
+    assert_eq!(reached(vec![vec![[6.0, -3.0], [6.0, 3.0]]]), [1]);
+    // A thick one counts once.
+    assert_eq!(reached(vec![vec![[5.0, -3.0], [6.0, -3.0], [6.0, 3.0], [5.0, 3.0]]]), [1]);
 }
 
 #[test]

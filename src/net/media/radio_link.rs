@@ -51,6 +51,12 @@ impl RadioLink {
         RadioLink { channel: Channel::new(radio, hosts, seed), hosts_of_robot, next_counts: Time::ZERO }
     }
 
+    /// Returns the link with walls that weaken frames, as the corners of their outlines \[m\], world frame.
+    pub fn walled(mut self, walls: Vec<Vec<[f32; 2]>>) -> RadioLink {
+        self.channel.wall_in(walls);
+        self
+    }
+
     /// Queues a frame of the host `transmit.from` for transmission at time `now`. `kind` is the kind of the frame's
     /// first message. A frame for one host goes to that host; a frame for all hosts goes to `listeners`, without the
     /// sender.

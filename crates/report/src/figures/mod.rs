@@ -9,6 +9,7 @@ pub mod picture;
 #[cfg(feature = "png")]
 pub mod png;
 mod positions;
+mod reach;
 mod separation;
 mod success;
 mod sweep;
@@ -17,6 +18,7 @@ pub use actions::actions;
 pub use delays::{DelayColumn, ages, arrivals, delays};
 pub use makespans::{Makespans, makespans};
 pub use positions::{Positions, positions};
+pub use reach::{Pairs, reach};
 pub use separation::separation;
 pub use success::{Group, Share, success};
 pub use sweep::{Line, Panel, Point, sweep};

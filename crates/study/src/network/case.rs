@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::medium::Medium;
+use super::places::Places;
 use super::traffic::FRAMING_BYTES;
 use murmurate::config::ConfigError;
 use murmurate::messages::wire::MAX_FEATURES;
@@ -111,6 +112,9 @@ pub struct Sweep {
     pub bytes: usize,
     /// Medium between the stations.
     pub medium: Medium,
+    /// Places of the stations; `None`: each is within range of all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub places: Option<Places>,
     /// Message rates of all stations together \[1/s\].
     pub rates: Vec<f64>,
     /// Kinds of networks of which the study has cases.
@@ -149,6 +153,7 @@ impl Sweep {
             stations: 5,
             bytes: 152,
             medium,
+            places: None,
             rates: RATES.to_vec(),
             networks,
             addressings: vec![Addressing::Unicast, Addressing::Multicast],
@@ -196,6 +201,16 @@ impl Sweep {
             return wrong("history", "a writer keeps at least 1 sample".to_owned());
         }
         self.medium.check()?;
+        if let Some(places) = &self.places {
+            places.check(self.stations)?;
+            let matter = matches!(&self.medium, Medium::Radio(radio) if radio.needs_positions());
+            if !matter {
+                return wrong(
+                    "places",
+                    "nothing depends on them; give a medium with range_m, sense_m or powers".to_owned(),
+                );
+            }
+        }
         let Medium::Shaped(shaped) = &self.medium else { return Ok(()) };
         let frame = self.bytes + FRAMING_BYTES + shaped.overhead_bytes;
         for (field, bytes) in [("burst_bytes", shaped.burst_bytes), ("queue_bytes", shaped.queue_bytes)] {
@@ -237,10 +252,10 @@ impl Sweep {
     pub fn medium_of(&self, case: &Case) -> Medium {
         let mut medium = self.medium.clone();
         if let Medium::Radio(radio) = &mut medium {
-            radio.channel = match case.network {
+            *radio = radio.on(match case.network {
                 NetworkKind::AdHoc | NetworkKind::Shaped => Topology::AdHoc,
                 NetworkKind::Infrastructure => Topology::Infrastructure,
-            };
+            });
             // Retransmissions to one receiver are unicast even if the messages are multicast.
             if case.addressing == Addressing::Unicast {
                 radio.retries = case.retries;

@@ -105,10 +105,12 @@ impl<E: StationProtocol> Emulation<E> {
         let begin = Time::ZERO + timing.warm_up;
         let window = (begin, begin + Span::from_secs(sweep.seconds));
         let schedule = |at| Schedule::new(Time::ZERO, at, (n, case.rate), (seed, timing.moments));
+        let mut medium = MediumEmulator::new(sweep.medium_of(case), n, &seed.child("medium"));
+        sweep.places.iter().for_each(|places| medium.place(&places.of(n)));
         Emulation {
             addressing: case.addressing,
             stations: n,
-            medium: MediumEmulator::new(sweep.medium_of(case), n, &seed.child("medium")),
+            medium,
             endpoints: (0..n).map(end).collect(),
             schedules: (0..n).map(schedule).collect(),
             steps: traffic::phases(n, STEP, seed).into_iter().map(|phase| window.0 + phase).collect(),

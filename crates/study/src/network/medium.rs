@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::shaped::{Links, Shaped};
 use murmurate::config::{self, ConfigError};
+use murmurate::messages::geometry::Vec2;
 use murmurate::net::media::radio::{self, Channel, Delivery, Destination, Radio};
 use murmurate::random::Seed;
 use murmurate::time::Time;
@@ -71,6 +72,13 @@ impl<T: Clone> MediumEmulator<T> {
         match medium {
             Medium::Radio(radio) => MediumEmulator::Radio(Box::new(Channel::new(radio, stations, seed))),
             Medium::Shaped(shaped) => MediumEmulator::Shaped(Box::new(Links::new(shaped, stations, seed))),
+        }
+    }
+
+    /// Sets the place of each station \[m\]. It matters on a radio channel alone.
+    pub fn place(&mut self, places: &[[f32; 2]]) {
+        if let MediumEmulator::Radio(channel) = self {
+            (0..).zip(places).for_each(|(station, place)| channel.place(station, Vec2::from(*place)));
         }
     }
 

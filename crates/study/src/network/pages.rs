@@ -6,9 +6,12 @@ use super::medium::Medium;
 use super::outcome::{Outcome, Row};
 use super::table::{self, SHOWN};
 use super::{saturation, scale};
+use murmurate::messages::geometry::Vec2;
+use murmurate::net::media::radio::{Channel, Topology};
+use murmurate::random::Seed;
 use murmurate::results::listening::Listening;
 use murmurate_report::figures::page::{self, Part};
-use murmurate_report::figures::{DelayColumn, Figure, FigureError, Line, Panel, Point};
+use murmurate_report::figures::{DelayColumn, Figure, FigureError, Line, Pairs, Panel, Point};
 
 /// Result of a case of a network study: its source (emulated or measured), its parameters and its outcome.
 pub type Found = (Source, Case, Outcome);
@@ -113,6 +116,7 @@ impl Findings<'_> {
                 all.push(self.delays(&group, rate)?);
             }
         }
+        all.extend(self.reach()?);
         if let Medium::Radio(radio) = &self.sweep.medium {
             all.push(scale::loads(&saturation::table(radio, self.datagram_bytes()))?);
         }
@@ -120,6 +124,28 @@ impl Findings<'_> {
             all.push(scale::costs(self.grown)?);
         }
         Ok(all)
+    }
+
+    /// Draws who hears whom, if the stations have places.
+    fn reach(&self) -> Result<Option<Figure>, FigureError> {
+        let (Medium::Radio(radio), Some(places)) = (&self.sweep.medium, &self.sweep.places) else { return Ok(None) };
+        let places = places.of(self.sweep.stations);
+        let mut channel: Channel<()> = Channel::new(radio.on(Topology::AdHoc), self.sweep.stations, &Seed::of_run(0));
+        (0..).zip(&places).for_each(|(station, place)| channel.place(station, Vec2::from(*place)));
+        let mut pairs = Pairs::default();
+        for from in 0..self.sweep.stations {
+            for to in channel.reached(from).into_iter().filter(|to| to.station > from) {
+                let pair = (usize::from(from), usize::from(to.station));
+                if to.reads { pairs.read.push(pair) } else { pairs.sensed.push(pair) }
+            }
+        }
+        let title = "Who hears whom";
+        Ok(Some(Figure {
+            name: "reach".to_owned(),
+            title: title.to_owned(),
+            caption: "By the distances of the radio, without shadowing and fading.".to_owned(),
+            svg: murmurate_report::figures::reach(title, &places, &pairs)?,
+        }))
     }
 
     /// Returns the length of a message's datagram without link reports \[bytes\].

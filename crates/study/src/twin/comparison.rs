@@ -196,6 +196,10 @@ fn model(fitted: &Fitted, later: &Fitted, links: &[String]) -> Vec<Row> {
         let loss = one.loss.zip(other.loss).map(|(one, other)| (one.scaled(100.0), other.scaled(100.0)));
         rows.extend(loss.map(|pair| Row::new(&format!("{name}, loss"), "%", pair, Bar::Difference(LOSS_POINTS))));
     }
+    if let Some((one, other)) = fitted.path.zip(later.path) {
+        rows.push(Row::new("path loss, exponent", "", (one.exponent, other.exponent), Bar::Free));
+        rows.push(Row::new("path loss, 37 % arrive over", "m", (one.reach_m, other.reach_m), Bar::Free));
+    }
     // An emulated link has a constant delay, so the prediction does not contain the variation of delays.
     let slowest = |link: FittedLink| link.spread_s.map(|[_, slow_s]| Estimate::exact(1e3 * slow_s));
     let both = fitted.all_links.and_then(slowest).zip(later.all_links.and_then(slowest));

@@ -26,6 +26,8 @@ pub struct Crossing {
     pub to: HostId,
     /// Time from sending to arrival \[ns\]; `None` if the first transmission of the datagram was lost.
     pub took_ns: Option<i64>,
+    /// Distance between the robots of the two hosts when the datagram was sent \[m\]; `None` if it is not known.
+    pub distance_m: Option<f32>,
 }
 
 /// Delay and loss of a link, as fitted to the datagrams of a recorded run, or as given by the user.
@@ -121,7 +123,7 @@ mod tests {
                 let took = delay_ns + skew[to] - skew[from] + stream.random_range(0..400_000);
                 let took_ns = (!stream.random_bool(loss)).then_some(took);
                 let [from, to] = [from, to].map(|host| HostId(host as u16));
-                all.push(Crossing { episode, link: LinkId(1), from, to, took_ns });
+                all.push(Crossing { episode, link: LinkId(1), from, to, took_ns, distance_m: None });
             }
         }
         all

@@ -13,4 +13,5 @@ pub mod model;
 pub mod observed;
 pub mod offsets;
 pub mod pages;
+pub mod path;
 pub mod predict;

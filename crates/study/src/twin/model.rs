@@ -9,6 +9,7 @@ use super::lag::{self, Limits, Slip};
 use super::links::{self, FittedLink};
 use super::observed::Run;
 use super::offsets;
+use super::path::{self, PathLoss};
 use murmurate::deploy::Deployment;
 use murmurate::messages::ids::{LinkId, RobotId};
 use murmurate::random::Seed;
@@ -29,6 +30,9 @@ pub struct Fitted {
     pub links: Vec<Option<FittedLink>>,
     /// Delay and loss of all links together; `None` without data.
     pub all_links: Option<FittedLink>,
+    /// Path loss between robots; `None` if the share of messages that arrive does not fall with the distance, or
+    /// distances are not known.
+    pub path: Option<PathLoss>,
     /// Offset \[s\] of each robot's control ticks from the steps of the simulated World, or from robot 0's ticks if no
     /// steps were recorded; `None` if it is unknown or not constant.
     pub offsets_s: Vec<Option<f64>>,
@@ -171,7 +175,8 @@ pub fn fit(run: &Run, basis: &Basis, episodes: Range<u32>) -> Fitted {
     let offset = |robot: usize| Some(offsets::between(ticks(robot)?, step?, *period_ns));
     let offsets_s = (0..basis.robots).map(offset).collect();
     let all_links = link(None, "all").map(|all| if basis.matches { all.of_clocks() } else { all });
-    Fitted { lag_s, late_s, slip, links, all_links, offsets_s }
+    let path = path::fit(&run.crossings, episodes, &mut seed.stream("path"));
+    Fitted { lag_s, late_s, slip, links, all_links, path, offsets_s }
 }
 
 /// Returns the deployment with delay and loss of its links, and offsets of the robots' ticks, replaced by fitted ones.

@@ -2,6 +2,7 @@
 //! how episodes ended.
 
 mod imported;
+mod places;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -23,6 +24,7 @@ use murmurate_record::receipt::Receipt;
 use murmurate_record::tape;
 use murmurate_record::topics::{self, RECEIPTS};
 use murmurate_record::truth;
+use places::Places;
 
 /// Kinds of messages that a host sends as soon as they are published, each in a datagram of its own.
 const PROMPT: [Kind; 3] = [Kind::Latent, Kind::Reading, Kind::MotorCommand];
@@ -50,6 +52,8 @@ struct Sent {
 struct State {
     at_ns: i64,
     robot: usize,
+    /// Position \[m\], world frame.
+    place: [f64; 2],
     moved: Moved,
     touches: bool,
 }
@@ -147,7 +151,7 @@ impl Log {
         for of in truth::robots(bytes) {
             let moved = Moved { velocity: [of.velocity_x, of.velocity_y], command: [of.command_x, of.command_y] };
             let touches = of.touches_robot || of.touches_wall;
-            self.states.push(State { at_ns, robot: of.robot as usize, moved, touches });
+            self.states.push(State { at_ns, robot: of.robot as usize, place: [of.x, of.y], moved, touches });
         }
     }
 }
@@ -369,6 +373,7 @@ fn crossings(
         first
     };
     let listeners: Vec<Vec<HostId>> = PROMPT.iter().map(|kind| team.routes.listeners(*kind)).collect();
+    let places = Places::of_team(logs, common, team);
     let routers: Vec<_> = (0..team.hosts as u16).map(|host| team.routes.router(HostId(host))).collect();
     let mut found = Vec::new();
     for (there, receiver) in logs.iter().enumerate() {
@@ -392,7 +397,8 @@ fn crossings(
                 };
                 let took_ns = arrived.get(&sent.key).map(|arrived| arrived - at_ns);
                 let (from, to) = (sender.host, receiver.host);
-                found.push(Crossing { episode: episode_at(at_ns), link, from, to, took_ns });
+                let distance_m = places.between(from, to, at_ns);
+                found.push(Crossing { episode: episode_at(at_ns), link, from, to, took_ns, distance_m });
             }
         }
     }

@@ -113,7 +113,7 @@ impl Options {
 
     /// Returns whether anything depends on the positions of the robots.
     pub fn needs_positions(&self) -> bool {
-        self.range_m.is_some() || self.radio.as_ref().is_some_and(|radio| radio.range_m.is_some())
+        self.range_m.is_some() || self.radio.as_ref().is_some_and(Radio::needs_positions)
     }
 
     /// Returns the duration of a step.

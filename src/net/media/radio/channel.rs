@@ -12,7 +12,7 @@ use super::domain::Domain;
 use super::field::Field;
 pub use super::station::Destination;
 use super::station::{Hop, QueuedFrame};
-pub use super::traffic::{Delivery, Transmission};
+pub use super::traffic::{Delivery, Reached, Transmission};
 use super::traffic::{FOREIGN_BYTES, Traffic};
 use super::{Radio, Topology};
 use crate::messages::geometry::Vec2;
@@ -115,9 +115,18 @@ impl<T: Clone> Channel<T> {
         }
     }
 
-    /// Sets the walls that weaken frames which cross them, as pairs of ends \[m\], world frame. They matter if the
-    /// parameters have a loss for walls.
-    pub fn wall_in(&mut self, walls: &[[Vec2; 2]]) {
+    /// Returns whom a transmission of the station `from` reaches, itself left out, by the paths alone: shadowing and
+    /// fading come to that.
+    pub fn reached(&self, from: u16) -> Vec<Reached> {
+        match &self.medium {
+            Medium::Shared(_) => self.traffic.reached(from),
+            Medium::Space(field) => field.reached(&self.traffic, from),
+        }
+    }
+
+    /// Sets the walls that weaken frames which cross them, as the corners of their outlines \[m\], world frame; two for
+    /// a line. They matter if the parameters have a loss for walls.
+    pub fn wall_in(&mut self, walls: Vec<Vec<[f32; 2]>>) {
         if let Medium::Space(field) = &mut self.medium {
             field.wall_in(walls);
         }

@@ -132,16 +132,8 @@ impl Domain {
 fn receives<T: Clone>(traffic: &mut Traffic<T>, frame: &QueuedFrame<T>) -> bool {
     match (frame.hop, &frame.to) {
         (Hop::Foreign, _) => true,
-        (Hop::Direct, Destination::One(to)) if !in_range(traffic, frame.from, *to) => false,
+        (Hop::Direct, Destination::One(to)) if !traffic.in_range(frame.from, *to) => false,
         _ => !traffic.lost_to_noise(),
-    }
-}
-
-fn in_range<T>(traffic: &Traffic<T>, from: u16, to: u16) -> bool {
-    let Some(range_m) = traffic.radio.range_m else { return true };
-    match (traffic.positions[usize::from(from)], traffic.positions[usize::from(to)]) {
-        (Some(from), Some(to)) => (to - from).norm_squared() <= range_m * range_m,
-        _ => true,
     }
 }
 
@@ -154,7 +146,7 @@ fn deliver_multicast<T: Clone>(
 ) {
     let Destination::Many(listeners) = &frame.to else { unreachable!("a frame for one is unicast") };
     for &to in listeners.iter().filter(|&&to| to != frame.from) {
-        if frame.hop == Hop::Direct && !in_range(traffic, frame.from, to) {
+        if frame.hop == Hop::Direct && !traffic.in_range(frame.from, to) {
             traffic.miss_range(to);
         } else if traffic.lost_to_noise() {
             traffic.miss_noise(to);

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::Radio;
 use super::powers::{Powers, milliwatts};
 use crate::cells::{Cells, LINEAR_SEARCH_MAX};
-use crate::messages::geometry::{Planar, Vec2};
+use crate::messages::geometry::Vec2;
 use crate::random::Stream;
 
 /// Power of frames at all receivers on a channel without powers \[mW\].
@@ -22,14 +22,24 @@ pub(super) struct Hearer {
     pub sensed: bool,
 }
 
+/// Path to a station that a transmission may reach.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Link {
+    /// The station, with what reaches it if the powers of all frames are the same.
+    hearer: Hearer,
+    /// Power of the path \[dBm\].
+    path_dbm: f64,
+    /// Probability that shadowing makes a frame matter.
+    chance: f64,
+}
+
 /// Links between the stations of a channel, by their positions.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(super) struct Links {
-    /// Stations that each station reaches, in the order of their indices, with the power \[dBm\] of its path to them;
-    /// `None` where it is to be found out anew.
-    of: Vec<Option<Vec<(Hearer, f64)>>>,
-    /// Both ends of each wall \[m\].
-    walls: Vec<[[f32; 2]; 2]>,
+    /// Stations that each station reaches, in the order of their indices; `None` where they are to be found out anew.
+    of: Vec<Option<Vec<Link>>>,
+    /// Corners of the outline of each wall \[m\].
+    walls: Vec<Vec<[f32; 2]>>,
     /// Located stations in a grid, as far as a transmission reaches; `None` if it is to be made anew.
     #[serde(skip)]
     grid: Option<Grid>,
@@ -55,9 +65,9 @@ impl Links {
         self.grid = None;
     }
 
-    /// Sets the walls, as pairs of ends \[m\].
-    pub fn wall_in(&mut self, walls: &[[Vec2; 2]]) {
-        self.walls = walls.iter().map(|ends| ends.map(|end| end.to_array())).collect();
+    /// Sets the walls, as the corners of their outlines \[m\].
+    pub fn wall_in(&mut self, walls: Vec<Vec<[f32; 2]>>) {
+        self.walls = walls;
         self.moved();
     }
 
@@ -78,32 +88,39 @@ impl Links {
         }
         let links = self.of[usize::from(from)].as_deref().unwrap_or_default();
         match radio.powers.as_ref().filter(|powers| powers.varies()) {
-            None => to.extend(links.iter().map(|(hearer, _)| *hearer)),
-            Some(powers) => to.extend(links.iter().filter_map(|&(Hearer { station, .. }, path_dbm)| {
-                if station == from {
-                    return Some(Hearer { station, power: 0.0, sensed: true });
+            None => to.extend(links.iter().map(|link| link.hearer)),
+            Some(powers) => to.extend(links.iter().filter_map(|link| {
+                if link.hearer.station == from {
+                    return Some(link.hearer);
                 }
-                of_power(powers, station, powers.of_frame(path_dbm, stream))
+                let dbm = powers.of_frame(link.path_dbm, link.chance, stream)?;
+                of_power(powers, link.hearer.station, dbm)
             })),
         }
     }
 
+    /// Returns the stations that a transmission of the station `from` reaches, itself among them, without shadowing and
+    /// fading.
+    pub fn paths(&self, radio: &Radio, positions: &[Option<Vec2>], from: u16) -> Vec<Hearer> {
+        let found = self.found(radio, positions, from, &mut None);
+        let hearer = |link: Link| match &radio.powers {
+            Some(powers) if link.hearer.station != from => of_power(powers, link.hearer.station, link.path_dbm),
+            _ => Some(link.hearer),
+        };
+        found.into_iter().filter_map(hearer).collect()
+    }
+
     /// Returns the stations that the station `from` reaches, by the grid, which is made if it is missing.
-    fn found(
-        &self,
-        radio: &Radio,
-        positions: &[Option<Vec2>],
-        from: u16,
-        grid: &mut Option<Grid>,
-    ) -> Vec<(Hearer, f64)> {
+    fn found(&self, radio: &Radio, positions: &[Option<Vec2>], from: u16, grid: &mut Option<Grid>) -> Vec<Link> {
         let place = |station: u16| positions[usize::from(station)];
         let link = |station: u16| {
+            let same = |hearer: Hearer| Link { hearer, path_dbm: 0.0, chance: 1.0 };
             if station == from {
-                return Some((Hearer { station, power: 0.0, sensed: true }, f64::INFINITY));
+                return Some(same(Hearer { station, power: 0.0, sensed: true }));
             }
             let ends = place(from).zip(place(station));
             match &radio.powers {
-                None => disc(radio, station, ends).map(|hearer| (hearer, 0.0)),
+                None => disc(radio, station, ends).map(same),
                 Some(powers) => {
                     let path_dbm = ends.map_or(powers.of_path(0.0, 0), |(from, to)| {
                         powers.of_path(f64::from((to - from).norm()), self.crossed(powers, from, to))
@@ -114,7 +131,8 @@ impl Links {
                     } else {
                         of_power(powers, station, path_dbm)
                     };
-                    hearer.map(|hearer| (hearer, path_dbm))
+                    let chance = powers.chance(path_dbm);
+                    hearer.map(|hearer| Link { hearer, path_dbm, chance })
                 }
             }
         };
@@ -139,7 +157,9 @@ impl Links {
         if powers.wall_db == 0.0 {
             return 0;
         }
-        self.walls.iter().filter(|ends| crosses(from, to, Vec2::from(ends[0]), Vec2::from(ends[1]))).count()
+        let side = |wall: &[[f32; 2]], at: usize| [wall[at], wall[(at + 1) % wall.len()]].map(Vec2::from);
+        let meets = |wall: &[[f32; 2]]| (0..wall.len()).any(|at| crosses([from, to], side(wall, at)));
+        self.walls.iter().filter(|wall| meets(wall)).count()
     }
 }
 
@@ -180,8 +200,8 @@ fn of_power(powers: &Powers, station: u16, dbm: f64) -> Option<Hearer> {
     Some(hearer).filter(|_| dbm >= powers.floor_dbm())
 }
 
-/// Returns whether the segment from `a` to `b` crosses that from `c` to `d`.
-fn crosses(a: Vec2, b: Vec2, c: Vec2, d: Vec2) -> bool {
+/// Returns whether two segments, each given by its ends, cross each other.
+fn crosses([a, b]: [Vec2; 2], [c, d]: [Vec2; 2]) -> bool {
     let side = |p: Vec2, q: Vec2, r: Vec2| (q - p).perp(&(r - p));
     side(a, b, c) * side(a, b, d) < 0.0 && side(c, d, a) * side(c, d, b) < 0.0
 }
@@ -192,9 +212,9 @@ mod tests {
     use crate::net::media::radio::Topology;
     use crate::random::Seed;
 
-    fn reached(radio: &Radio, positions: &[Option<Vec2>], from: u16, walls: &[[Vec2; 2]]) -> Vec<Hearer> {
+    fn reached(radio: &Radio, positions: &[Option<Vec2>], from: u16, walls: &[[[f32; 2]; 2]]) -> Vec<Hearer> {
         let mut links = Links::new(positions.len());
-        links.wall_in(walls);
+        links.wall_in(walls.iter().map(|ends| ends.to_vec()).collect());
         let mut all = Vec::new();
         links.hearers(radio, positions, from, &mut Seed::of_run(1).stream("fading"), &mut all);
         all
@@ -231,7 +251,7 @@ mod tests {
         let powers = Powers { wall_db: 20.0, ..Powers::default() };
         let radio = Radio { channel: Topology::AdHoc, powers: Some(powers), ..Radio::default() };
         let positions = line(3, 10.0);
-        let wall = [Vec2::new(15.0, -1.0), Vec2::new(15.0, 1.0)];
+        let wall = [[15.0, -1.0], [15.0, 1.0]];
         let (free, walled) = (reached(&radio, &positions, 0, &[]), reached(&radio, &positions, 0, &[wall]));
         assert!((free[1].power - walled[1].power).abs() < 1e-15);
         assert!((free[2].power / walled[2].power - 100.0).abs() < 1e-6);

@@ -298,6 +298,24 @@ impl Radio {
         powers.check().map_err(|error| error.within("powers"))
     }
 
+    /// Returns the channel with the topology `channel`, without what only the other one can have. A range is that of
+    /// ad-hoc channels: an access point reaches all stations. Powers need the place of an access point, and without one
+    /// all of them are equal.
+    pub fn on(&self, channel: Topology) -> Radio {
+        let mut radio = Radio { channel, ..self.clone() };
+        match channel {
+            Topology::AdHoc => radio.access_point_m = None,
+            Topology::Infrastructure => {
+                radio.range_m = None;
+                radio.powers = radio.powers.filter(|_| radio.access_point_m.is_some());
+                radio.capture &= radio.powers.is_some();
+                radio.access_point_m =
+                    radio.access_point_m.filter(|_| radio.sense_m.is_some() || radio.powers.is_some());
+            }
+        }
+        radio
+    }
+
     /// Returns whether each station has its own view of the medium. Without space, all stations sense each other.
     pub fn has_space(&self) -> bool {
         self.sense_m.is_some() || self.powers.is_some() || self.adaptation != Adaptation::Fixed

@@ -1,11 +1,11 @@
 //! Powers of frames at their receivers: path loss over distance, walls, shadowing and fading.
 
-use std::f64::consts::LN_10;
+use std::f64::consts::{FRAC_1_SQRT_2, LN_10};
 
 use serde::{Deserialize, Serialize};
 
 use crate::config::{ConfigError, in_range};
-use crate::random::{self, Stream};
+use crate::random::{self, RngExt, Stream};
 
 /// Fading of a frame's power at a receiver by reflections, anew for each frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -72,7 +72,7 @@ impl Default for Powers {
 /// Largest gain by Rayleigh fading that is looked for \[dB\]: one frame in twenty thousand has more.
 const MOST_FADING_DB: f64 = 10.0;
 /// Largest gain by shadowing that is looked for, in standard deviations.
-const MOST_SHADOWING: f64 = 4.0;
+const MOST_SHADOWING: f64 = 3.5;
 
 impl Powers {
     /// Checks the ranges of all numbers. An error names the wrong one.
@@ -94,16 +94,27 @@ impl Powers {
         self.tx_dbm - self.reference_db - over - self.wall_db * walls as f64
     }
 
-    /// Returns the power of one frame \[dBm\], from that of its path: draws shadowing and fading.
-    pub(super) fn of_frame(&self, path_dbm: f64, stream: &mut Stream) -> f64 {
+    /// Returns the probability that shadowing lifts a path of this power \[dBm\] to where a frame may matter.
+    pub(super) fn chance(&self, path_dbm: f64) -> f64 {
+        let lacks_db = self.floor_dbm() - self.most_fading_db() - path_dbm;
+        if self.shadowing_db > 0.0 { 0.5 * libm::erfc(lacks_db / self.shadowing_db * FRAC_1_SQRT_2) } else { 1.0 }
+    }
+
+    /// Returns the power of one frame \[dBm\], from that of its path and the path's `chance`: draws shadowing and
+    /// fading. `None` if it is so weak that it does not matter.
+    pub(super) fn of_frame(&self, path_dbm: f64, chance: f64, stream: &mut Stream) -> Option<f64> {
         let mut power = path_dbm;
         if self.shadowing_db > 0.0 {
-            power += self.shadowing_db * random::normals(stream)[0];
+            let above: f64 = stream.random();
+            if above >= chance {
+                return None;
+            }
+            power += self.shadowing_db * random::normal_above(above);
         }
         if self.fading == Fading::Rayleigh {
             power += 10.0 * libm::log10(random::exponential(stream).max(1e-12));
         }
-        power
+        Some(power).filter(|power| *power >= self.floor_dbm())
     }
 
     /// Returns whether each frame has a power of its own.
@@ -119,8 +130,11 @@ impl Powers {
 
     /// Returns the least power of a path \[dBm\] whose frames may matter.
     pub(super) fn least_path_dbm(&self) -> f64 {
-        let fading = if self.fading == Fading::None { 0.0 } else { MOST_FADING_DB };
-        self.floor_dbm() - fading - MOST_SHADOWING * self.shadowing_db
+        self.floor_dbm() - self.most_fading_db() - MOST_SHADOWING * self.shadowing_db
+    }
+
+    fn most_fading_db(&self) -> f64 {
+        if self.fading == Fading::None { 0.0 } else { MOST_FADING_DB }
     }
 
     /// Returns the distance \[m\] beyond which no frame matters.
@@ -159,11 +173,27 @@ mod tests {
     fn faded_powers_have_the_published_distribution() {
         let powers = Powers { fading: Fading::Rayleigh, ..Powers::default() };
         let mut stream = Seed::of_run(1).stream("fading");
-        let below = (0..20_000).filter(|_| powers.of_frame(-60.0, &mut stream) < -70.0).count();
+        let mut drawn = |powers: &Powers| powers.of_frame(-60.0, powers.chance(-60.0), &mut stream);
+        let below = (0..20_000).filter(|_| drawn(&powers).is_none_or(|dbm| dbm < -70.0)).count();
         // Below a tenth of the mean: 1 - exp(-0.1).
         assert!((below as f64 / 20_000.0 - 0.0952).abs() < 0.008, "{below}");
         let powers = Powers { shadowing_db: 4.0, ..Powers::default() };
-        let above = (0..20_000).filter(|_| powers.of_frame(-60.0, &mut stream) > -56.0).count();
+        let above = (0..20_000).filter(|_| drawn(&powers).is_some_and(|dbm| dbm > -56.0)).count();
         assert!((above as f64 / 20_000.0 - 0.1587).abs() < 0.01, "{above}");
+    }
+
+    #[test]
+    fn paths_whose_frames_seldom_matter_are_left_out_as_often_as_by_each_power() {
+        for fading in [Fading::None, Fading::Rayleigh] {
+            let powers = Powers { shadowing_db: 4.0, fading, ..Powers::default() };
+            let mut stream = Seed::of_run(1).stream("fading");
+            let mut matters = |path_dbm: f64, chance: f64| {
+                (0..40_000).filter(|_| powers.of_frame(path_dbm, chance, &mut stream).is_some()).count() as f64 / 4e4
+            };
+            for path_dbm in [-90.0, -96.0, -100.0] {
+                let (all, some) = (matters(path_dbm, 1.0), matters(path_dbm, powers.chance(path_dbm)));
+                assert!((all - some).abs() < 0.01, "{path_dbm} dBm: {all} and {some}");
+            }
+        }
     }
 }

@@ -10,10 +10,10 @@ const REFERENCE_BITS: f64 = 8.0 * 260.0;
 
 /// Ratio of the powers at which half of the frames of `REFERENCE_BITS` are read \[dB\], by rate.
 ///
-/// At 1, 6, 12, 24 and 54 Mbit/s these are fits to two frames that overlap, and to a sender at growing distance, in ns-3
-/// 3.44, whose curves are simulations of the link (AWGN, IEEE 802.11-14/0571r12). Those between follow from the steps
-/// between rates of coding: 2.5 dB from 1/2 to 3/4 of BPSK and QPSK, 3.4 dB of 16-QAM, 1.2 dB from 2/3 to 3/4 and 1.4 dB
-/// to 5/6 of 64-QAM. CCK and differential QPSK need 7 to 8 dB of Eb/N0.
+/// At 1, 6, 12, 24 and 54 Mbit/s these are fits to two frames that overlap, and to a sender at growing distance, in
+/// ns-3 3.44, whose curves are simulations of the link (AWGN, IEEE 802.11-14/0571r12). Those between follow from the
+/// steps between rates of coding: 2.5 dB from 1/2 to 3/4 of BPSK and QPSK, 3.4 dB of 16-QAM, 1.2 dB from 2/3 to 3/4 and
+/// 1.4 dB to 5/6 of 64-QAM. CCK and differential QPSK need 7 to 8 dB of Eb/N0.
 fn half_db(rate: Rate) -> f64 {
     match rate.name() {
         "fhss-1" | "dsss-1" => -4.8,

@@ -51,6 +51,15 @@ pub struct Transmission<T> {
     pub token: T,
 }
 
+/// Station that a transmission reaches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reached {
+    /// Index of the station.
+    pub station: u16,
+    /// Whether it can read the frame, if no other one spoils it; otherwise it senses that something is on the air.
+    pub reads: bool,
+}
+
 /// Stations of a radio channel with their queues, and the counters of their frames.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Traffic<T> {
@@ -119,6 +128,21 @@ impl<T: Clone> Traffic<T> {
             transmissions: None,
             radio,
         }
+    }
+
+    /// Returns whether a frame of one station is in the range of another one.
+    pub fn in_range(&self, from: u16, to: u16) -> bool {
+        let Some(range_m) = self.radio.range_m else { return true };
+        match (self.positions[usize::from(from)], self.positions[usize::from(to)]) {
+            (Some(from), Some(to)) => (to - from).norm_squared() <= range_m * range_m,
+            _ => true,
+        }
+    }
+
+    /// Returns whom a transmission of the station `from` reaches if all stations sense each other.
+    pub fn reached(&self, from: u16) -> Vec<Reached> {
+        let others = (0..self.members).filter(|station| *station != from);
+        others.map(|station| Reached { station, reads: self.in_range(from, station) }).collect()
     }
 
     /// Puts a frame into the transmit queue of the station with index `station`; counts it as lost if the queue is

@@ -65,14 +65,14 @@ impl Journal {
     /// Returns the origin of a case's record: study, program, seed and conditions. It is independent of the study's
     /// other cases.
     fn origin(&self, source: Source, case: &Case) -> Origin {
-        let Sweep { stations, bytes, medium, history, seconds, seed, .. } = &self.sweep;
+        let Sweep { stations, bytes, medium, places, history, seconds, seed, .. } = &self.sweep;
         let link = self.link.as_ref().filter(|_| source == Source::Live);
         Origin::here(
             murmurate_robot::build::digest(),
             STUDY,
             *seed,
             "",
-            &(source, case, stations, bytes, medium, history, seconds, link),
+            &(source, case, stations, bytes, (medium, places), history, seconds, link),
         )
     }
 

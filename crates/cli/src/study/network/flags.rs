@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use murmurate_study::network::case::{RATES, RETRIES};
 use murmurate_study::network::saturation::SIZES;
-use murmurate_study::network::{Addressing, History, Medium, NetworkKind, ReliabilityMode, Sweep};
+use murmurate_study::network::{Addressing, History, Medium, NetworkKind, Places, ReliabilityMode, Sweep};
 use serde::de::DeserializeOwned;
 
 use crate::study::run::{CommandLine, Run, check_unique};
@@ -17,9 +17,12 @@ use murmurate_robot::own_name;
 /// Flags of `murmurate study network`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Medium: a preset (paper, wifi, wifi-n, wifi-slow, shaped), a radio file, or a file of shaped links
+    /// Medium: a preset (paper, wifi, wifi-n, wifi-slow, wifi-ibss, shaped), a radio file, or a file of shaped links
     #[arg(long, value_name = "NAME|FILE.toml", default_value = "paper")]
     pub medium: String,
+    /// Places of the stations: line:GAP, ring:RADIUS or grid:GAP [m], or a file with x and y [m] of one on each line
+    #[arg(long, value_name = "FORM:M|FILE", conflicts_with = "live")]
+    places: Option<String>,
     /// Message rates, of all stations together [1/s], separated by commas [default: 10,20,60,100,200,300,400,500]
     #[arg(long, value_delimiter = ',')]
     rates: Vec<f64>,
@@ -90,6 +93,15 @@ fn named<T: DeserializeOwned + PartialEq + Clone>(flag: &str, given: &[String], 
     Ok(if chosen.is_empty() { all.to_vec() } else { chosen })
 }
 
+/// Returns places of a form, or those in a file. An error names the flag.
+fn places(given: &str) -> Result<Places> {
+    if !given.contains(':') {
+        let text = read_text(Path::new(given), "file of places")?;
+        return Places::from_text(&text).map_err(|e| BadInput(format!("--places: '{given}': {e}")).into());
+    }
+    given.parse().or_else(|why| bad(format!("--places: {why}")))
+}
+
 /// Returns the medium (a radio, or shaped links) with the name `given`, or from the file with this path. An error names
 /// the flag `flag` or the file.
 pub fn medium(flag: &str, given: &str) -> Result<Medium> {
@@ -146,6 +158,7 @@ impl Args {
         };
         (sweep.stations, sweep.bytes, sweep.seconds, sweep.seed) =
             (self.stations.unwrap_or(STATIONS), self.bytes, self.seconds, self.run.seed);
+        sweep.places = self.places.as_deref().map(places).transpose()?;
         sweep.check().map_err(|e| BadInput(format!("--{e}")))?;
         Ok(sweep)
     }
@@ -177,6 +190,7 @@ impl Args {
     pub fn command(&self) -> String {
         let mut command = CommandLine(format!("{} study network", own_name()));
         command.add("medium", Some(self.medium.clone()));
+        command.add("places", self.places.clone());
         command.add_all("rates", &self.rates);
         command.add_all("networks", &self.networks);
         command.add_all("addressing", &self.addressing);

@@ -1,6 +1,7 @@
 //! The run of an imported record, which has one clock: measured states, beginnings of episodes, receipts.
 
 use super::super::links::Crossing;
+use super::places::Places;
 use super::{Log, Run};
 use murmurate::messages::ids::{HostId, LinkId};
 use murmurate_record::receipt::Receipt;
@@ -20,6 +21,7 @@ impl Run {
                 *span = Some([first.min(state.at_ns), last.max(state.at_ns)]);
             }
         }
+        let places = Places::of_import(log, robots);
         let crossing = |receipt: &Receipt| {
             let episode = episode_at(receipt.sent_ns);
             let [first, last] = spans.get(episode as usize).copied().flatten()?;
@@ -29,7 +31,9 @@ impl Run {
                 None => None,
             };
             let (link, from, to) = (LinkId(0), HostId(receipt.from), HostId(receipt.to));
-            seen.contains(&receipt.sent_ns).then_some(Crossing { episode, link, from, to, took_ns })
+            let distance_m = places.between(from, to, receipt.sent_ns);
+            let crossing = Crossing { episode, link, from, to, took_ns, distance_m };
+            seen.contains(&receipt.sent_ns).then_some(crossing)
         };
         run.crossings = log.receipts.iter().filter_map(crossing).collect();
         run.left_out = log.receipts.len() - run.crossings.len();
@@ -47,7 +51,7 @@ mod tests {
     #[test]
     fn receipts_of_an_import_count_only_while_its_robots_are_seen() {
         let still = Moved { velocity: [0.0; 2], command: [0.0; 2] };
-        let state = |at_ns: i64| State { at_ns, robot: 0, moved: still, touches: false };
+        let state = |at_ns: i64| State { at_ns, robot: 0, place: [0.0; 2], moved: still, touches: false };
         let receipt = |sent_ns: i64, received_ns: Option<i64>| Receipt { from: 0, to: 1, sent_ns, received_ns };
         let log = Log {
             host: HostId(0),

@@ -15,7 +15,7 @@ use super::adaptation::Rates;
 use super::links::{Hearer, Links};
 use super::rate::Rate;
 use super::station::{Attempts, Destination, Hop, QueuedFrame};
-use super::traffic::{Delivery, Traffic};
+use super::traffic::{Delivery, Reached, Traffic};
 use super::view::{Arrival, Receiver, View};
 use super::{ACK_BYTES, Topology};
 use crate::messages::geometry::Vec2;
@@ -157,8 +157,16 @@ impl<T: Clone> Field<T> {
         self.places = None;
     }
 
+    /// Returns whom a transmission of a station reaches, itself left out, without shadowing and fading.
+    pub fn reached(&self, traffic: &Traffic<T>, from: u16) -> Vec<Reached> {
+        let all = self.links.paths(&traffic.radio, &places(traffic), from);
+        let others = all.into_iter().filter(|hearer| hearer.station != from && hearer.station < traffic.members);
+        let reached = |hearer: Hearer| Reached { station: hearer.station, reads: self.receiver.hears(hearer.power) };
+        others.filter(|hearer| hearer.sensed || self.receiver.hears(hearer.power)).map(reached).collect()
+    }
+
     /// Sets the walls that weaken frames.
-    pub fn wall_in(&mut self, walls: &[[Vec2; 2]]) {
+    pub fn wall_in(&mut self, walls: Vec<Vec<[f32; 2]>>) {
         self.links.wall_in(walls);
     }
 
