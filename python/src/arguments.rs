@@ -268,8 +268,7 @@ impl Arguments<'_, '_> {
         };
         if let Some(radio) = self.radio {
             let radio = text("radio", radio)?;
-            murmurate_cli::with_radio("radio", &radio, scenario.robots(), &mut conditions)
-                .map_err(crate::program::exception)?;
+            murmurate_cli::with_radio("radio", &radio, scenario, &mut conditions).map_err(crate::program::exception)?;
         }
         if let Some(filtered) = self.filtered {
             conditions.filtered = number("filtered", filtered, 0.0, 1.0)?;

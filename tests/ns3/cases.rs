@@ -1,5 +1,7 @@
 //! Rows of the tables as cases of the channel, and the bars that each must meet.
 
+use std::collections::BTreeMap;
+
 use murmurate::messages::geometry::Vec2;
 use murmurate::net::media::radio::{
     Adaptation, AfterDrop, Channel, Destination, Fading, Powers, Radio, Recovery, Topology,
@@ -41,11 +43,13 @@ fn radio(row: &Row) -> Radio {
 struct Verdict {
     missed: Vec<String>,
     all: usize,
+    /// Largest difference of each figure that has a bar: of times \[ms\] as a share, of shares themselves.
+    largest: BTreeMap<String, f64>,
 }
 
 impl Verdict {
     fn new() -> Verdict {
-        Verdict { missed: Vec::new(), all: 0 }
+        Verdict { missed: Vec::new(), all: 0, largest: BTreeMap::new() }
     }
 
     fn row(&mut self, label: &str, figures: &[(&str, f64, f64, bool)]) {
@@ -56,6 +60,11 @@ impl Verdict {
                 format!("{name} {ours:.4} ({theirs:.4}){}", if *good { "" } else { " MISSED" })
             })
             .collect();
+        for (name, ours, theirs, _) in figures {
+            let apart = if name.ends_with("ms") { ours / theirs - 1.0 } else { ours - theirs };
+            let largest = self.largest.entry((*name).to_owned()).or_default();
+            *largest = largest.max(apart.abs());
+        }
         let line = format!("{label:70} {}", told.join("  "));
         println!("{line}");
         if figures.iter().any(|(.., good)| !good) {
@@ -65,6 +74,7 @@ impl Verdict {
 
     fn end(self) {
         println!("{} of {} rows within their bars", self.all - self.missed.len(), self.all);
+        println!("largest differences: {:.4?}", self.largest);
         assert!(self.missed.is_empty(), "{} rows:\n{}", self.missed.len(), self.missed.join("\n"));
     }
 }

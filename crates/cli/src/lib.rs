@@ -95,16 +95,16 @@ pub fn sim_results(
     sim::results_of(arguments, registry, stop)
 }
 
-/// Sets the delay and loss of messages in the training conditions `conditions` to those of a medium, for a team of
-/// `robots` robots. `radio` is a preset or a radio file, as for `murmurate train --radio`. An error about it is a
-/// `BadInput` that begins with `argument`, the name of the caller's argument.
+/// Sets the delay and loss of messages in the training conditions `conditions` to those of a medium, for the robots of
+/// `scenario`. `radio` is a preset or a radio file, as for `murmurate train --radio`. An error about it is a `BadInput`
+/// that begins with `argument`, the name of the caller's argument.
 pub fn with_radio(
     argument: &str,
     radio: &str,
-    robots: usize,
+    scenario: &dyn murmurate::scenario::Scenario,
     conditions: &mut murmurate_train::config::Conditions,
 ) -> anyhow::Result<()> {
-    train::with_radio(argument, radio, robots, conditions)
+    train::with_radio(argument, radio, scenario, conditions)
 }
 
 /// Runs the command that the arguments of this process name, with the parts (scenarios, policies and so on) of the

@@ -41,6 +41,8 @@ pub struct Laboratory {
     /// Whether each station knows the hardware addresses of the others from the start, so that no address resolution
     /// (ARP) goes over the channel.
     pub static_arp: bool,
+    /// Whether stations speak IPv6 as well, by addresses of their links.
+    pub ipv6: bool,
     /// Lateness from which a delivery counts as late.
     pub late: Span,
     /// Priority of the thread that carries the frames, 1 to 99 (SCHED_FIFO); 0 for an ordinary one.
@@ -63,6 +65,8 @@ struct File {
     seed: Option<u64>,
     #[serde(default)]
     static_arp: bool,
+    #[serde(default)]
+    ipv6: bool,
     late_us: Option<u64>,
     priority: Option<u8>,
     /// Read for its errors, which have lines; the fields themselves come from the table, on top of the preset.
@@ -138,6 +142,7 @@ impl Laboratory {
             radio,
             seed: file.seed.unwrap_or(0),
             static_arp: file.static_arp,
+            ipv6: file.ipv6,
             late,
             priority,
             paths,

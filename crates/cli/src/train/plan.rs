@@ -13,7 +13,7 @@ use murmurate::config::{ConfigError, from_table, regular, unquoted};
 use murmurate::deploy::conditions::Conditions;
 use murmurate::policy::hops::entry;
 use murmurate::registry::Registry;
-use murmurate::scenario::{ScenarioError, Settings, goals};
+use murmurate::scenario::{Scenario, ScenarioError, Settings, goals};
 use murmurate_robot::BadInput;
 use murmurate_robot::output::{self, read_bytes, read_text};
 use murmurate_robot::own_name;
@@ -63,7 +63,7 @@ fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
     if let Some(radio) = &args.radio {
         let settings = config.settings(config.robots, None);
         let scenario = registry.scenario(&args.scenario, &settings).map_err(|e| refused(args, &e))?;
-        with_radio("--radio", radio, scenario.robots(), &mut config.conditions)?;
+        with_radio("--radio", radio, scenario.as_ref(), &mut config.conditions)?;
     }
     if let Some(path) = &args.conditions {
         let Conditions { lag_s, delay_s, loss, .. } = conditions::file(path)?;
@@ -108,11 +108,12 @@ fn refused(args: &Args, error: &ScenarioError) -> BadInput {
     size::refused(error, &args.size.over(Settings::default()), &[])
 }
 
-/// Sets the delay and loss of messages in `conditions` to those of a medium, for a team of `robots` robots. `radio` is
-/// a preset or a radio file. Errors begin with `flag`, the name of the flag or argument.
-pub fn with_radio(flag: &str, radio: &str, robots: usize, conditions: &mut config::Conditions) -> Result<()> {
+/// Sets the delay and loss of messages in `conditions` to those of a medium, for the robots of `scenario` at the starts
+/// of an episode. `radio` is a preset or a radio file. Errors begin with `flag`, the name of the flag or argument.
+pub fn with_radio(flag: &str, radio: &str, scenario: &dyn Scenario, conditions: &mut config::Conditions) -> Result<()> {
     let medium = study::medium(flag, radio)?;
-    of_medium::apply(&medium, robots, conditions)
+    let starts: Vec<[f32; 2]> = scenario.tasks(0, 0).iter().map(|task| [task.start.x, task.start.y]).collect();
+    of_medium::apply(&medium, &starts, conditions)
         .ok_or_else(|| BadInput(format!("{flag}: none of a team's messages arrives on '{radio}'")).into())
 }
 

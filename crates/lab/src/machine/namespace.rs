@@ -102,18 +102,30 @@ pub fn inside<T: Send, E: From<LabError> + Send>(
     thread::scope(|scope| scope.spawn(enter).join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
 }
 
+/// Switches IPv6 off in the namespace of this process, unless the laboratory has it. It speaks on the channel by
+/// itself: router solicitations, and reports of multicast groups. With it, addresses hold at once: a check for
+/// duplicates would go over a channel that loses frames.
+fn set_ipv6(lab: &Laboratory, space: &str) -> Result<()> {
+    let of = |scope: &str, name: &str, value: &str| {
+        let set = std::fs::write(format!("/proc/sys/net/ipv6/conf/{scope}/{name}"), value);
+        match set {
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound && !lab.ipv6 => Ok(()),
+            Err(error) => failed(format!("cannot set {name} of IPv6 in the namespace '{space}': {error}")),
+            Ok(()) => Ok(()),
+        }
+    };
+    if lab.ipv6 {
+        return of("default", "accept_dad", "0");
+    }
+    of("all", "disable_ipv6", "1")
+}
+
 /// Makes a station in its namespace, which exists already: a TAP interface with address and routes, and the loopback
 /// interface. Returns the TAP, which does not block. The interface vanishes with it.
 pub fn make_station(lab: &Laboratory, station: u16) -> Result<Tap> {
     let space = lab.namespace(station);
     let tap = inside(&space, || {
-        // IPv6 would speak on the channel by itself: router solicitations, and reports of multicast groups.
-        let disabled = std::fs::write("/proc/sys/net/ipv6/conf/all/disable_ipv6", "1");
-        if let Err(error) = disabled
-            && error.kind() != std::io::ErrorKind::NotFound
-        {
-            return failed(format!("cannot switch off IPv6 in the namespace '{space}': {error}"));
-        }
+        set_ipv6(lab, &space)?;
         let name = Interface::new(&lab.interface).context("not an interface's name")?;
         let mut tap = Tap::new_named(name).context("cannot make a TAP interface")?;
         tap.set_nonblocking(true).context("cannot make a TAP interface non-blocking")?;

@@ -3,6 +3,7 @@
 use super::case::{Addressing, Case, NetworkKind, ReliabilityMode, Sweep};
 use super::emulate;
 use super::medium::Medium;
+use super::places::Places;
 use murmurate::net::media::radio::Topology;
 use murmurate_train::config::Conditions;
 
@@ -10,17 +11,21 @@ use murmurate_train::config::Conditions;
 const RATE: f64 = 20.0;
 
 /// Sets the delay and loss of messages in the training conditions `conditions` to those of `robots` robots (200 at
-/// most) on the medium. An emulation finds them for latents that are sent 20 times a second by best-effort multicast;
+/// most) on the medium. Their positions `places` \[m\] matter on a radio with space; what counts are messages to those in
+/// reach. An emulation finds them for latents that are sent 20 times a second by best-effort multicast;
 /// the delay is a range from its 10 % to its 90 % quantile, both 0.5 s at most. Returns `None`, and changes nothing, if
 /// no message arrives.
-pub fn apply(medium: &Medium, robots: usize, conditions: &mut Conditions) -> Option<()> {
-    let stations = u16::try_from(robots.clamp(2, 200)).expect("it is at most 200");
+pub fn apply(medium: &Medium, places: &[[f32; 2]], conditions: &mut Conditions) -> Option<()> {
+    let stations = u16::try_from(places.len().clamp(2, 200)).expect("it is at most 200");
     let network = match medium {
         Medium::Shaped(_) => NetworkKind::Shaped,
         Medium::Radio(radio) if radio.channel == Topology::AdHoc => NetworkKind::AdHoc,
         Medium::Radio(_) => NetworkKind::Infrastructure,
     };
-    let sweep = Sweep { stations, ..Sweep::whole(medium.clone()) };
+    let matter = places.len() == usize::from(stations)
+        && matches!(medium, Medium::Radio(radio) if radio.on(radio.channel).needs_positions());
+    let places = matter.then(|| Places::Given(places.to_vec()));
+    let sweep = Sweep { stations, places, ..Sweep::whole(medium.clone()) };
     let (addressing, reliability) = (Addressing::Multicast, ReliabilityMode::BestEffort);
     let case = Case { network, addressing, reliability, retries: 0, rate: RATE * f64::from(stations) };
     let outcome = emulate::run(&sweep, &case, &|| true)?;

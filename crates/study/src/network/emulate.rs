@@ -106,7 +106,12 @@ impl<E: StationProtocol> Emulation<E> {
         let window = (begin, begin + Span::from_secs(sweep.seconds));
         let schedule = |at| Schedule::new(Time::ZERO, at, (n, case.rate), (seed, timing.moments));
         let mut medium = MediumEmulator::new(sweep.medium_of(case), n, &seed.child("medium"));
-        sweep.places.iter().for_each(|places| medium.place(&places.of(n)));
+        let mut tally = Tally::new(n, window);
+        if let Some(places) = &sweep.places {
+            medium.place(&places.of(n));
+            let reads: Vec<Vec<u16>> = (0..n).map(|from| medium.readers(from)).collect();
+            tally.count_only(|station, from| reads[usize::from(from)].contains(&station));
+        }
         Emulation {
             addressing: case.addressing,
             stations: n,
@@ -115,7 +120,7 @@ impl<E: StationProtocol> Emulation<E> {
             schedules: (0..n).map(schedule).collect(),
             steps: traffic::phases(n, STEP, seed).into_iter().map(|phase| window.0 + phase).collect(),
             everyone: Destination::Many((0..n).collect()),
-            tally: Tally::new(n, window),
+            tally,
             last: if timing.stops { window.1 } else { Time::MAX },
             end: window.1 + timing.drain,
         }

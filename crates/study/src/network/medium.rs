@@ -82,6 +82,16 @@ impl<T: Clone> MediumEmulator<T> {
         }
     }
 
+    /// Returns the stations that can read the frames of the station `from`, by their places.
+    pub fn readers(&self, from: u16) -> Vec<u16> {
+        match self {
+            MediumEmulator::Radio(channel) => {
+                channel.reached(from).iter().filter(|to| to.reads).map(|to| to.station).collect()
+            }
+            MediumEmulator::Shaped(_) => Vec::new(),
+        }
+    }
+
     /// Queues a datagram of `bytes` bytes at the station `from`, for the receivers `to`; the medium adds headers to it.
     /// `token` is returned in its deliveries. The datagram is dropped if the station's queue is full.
     pub fn offer(&mut self, now: Time, from: u16, to: Destination, bytes: usize, token: T) {

@@ -67,6 +67,8 @@ pub struct Tally {
     published_at: Vec<(u32, VecDeque<Time>)>,
     /// For each receiver and sender: publication time of the newest received message.
     newest: Vec<Option<Time>>,
+    /// By receiver and sender: whether the one is too far away to hear the other.
+    apart: Vec<bool>,
 }
 
 /// Largest number of publication times that the counters of a case keep for a station.
@@ -91,7 +93,21 @@ impl Tally {
             busy_s: [None; 2],
             published_at: vec![(0, VecDeque::new()); stations],
             newest: vec![None; stations * stations],
+            apart: vec![false; stations * stations],
         }
+    }
+
+    /// Counts nothing from now on between stations that do not hear each other: `hears` tells whether a station, the
+    /// first one, hears another.
+    pub fn count_only(&mut self, hears: impl Fn(u16, u16) -> bool) {
+        for (at, apart) in self.apart.iter_mut().enumerate() {
+            *apart = !hears((at / self.stations) as u16, (at % self.stations) as u16);
+        }
+    }
+
+    /// Returns whether a station is too far from another one to hear it.
+    fn is_apart(&self, station: usize, from: usize) -> bool {
+        self.apart[station * self.stations + from]
     }
 
     /// Returns start and end of the measurement, outside of which published messages are not counted.
@@ -114,7 +130,8 @@ impl Tally {
             *first += 1;
         }
         if self.counts(now) {
-            self.due += self.stations as u64 - 1;
+            let from = usize::from(station);
+            self.due += (0..self.stations).filter(|to| *to != from && !self.is_apart(*to, from)).count() as u64;
         }
     }
 
@@ -123,7 +140,9 @@ impl Tally {
     pub fn received(&mut self, now: Time, station: u16, from: u16, sequence: u32) {
         let (first, times) = &self.published_at[usize::from(from)];
         let place = sequence.checked_sub(*first).and_then(|place| times.get(place as usize));
-        let Some(&published) = place else { return };
+        let Some(&published) = place.filter(|_| !self.is_apart(usize::from(station), usize::from(from))) else {
+            return;
+        };
         let newest = &mut self.newest[usize::from(station) * self.stations + usize::from(from)];
         *newest = (*newest).max(Some(published));
         if self.counts(published) {
@@ -142,7 +161,9 @@ impl Tally {
 
     /// Counts a control step of `station` at `now`: the age of the newest message that it has from each other station.
     pub fn step(&mut self, now: Time, station: u16) {
-        for from in (0..self.stations).filter(|from| *from != usize::from(station)) {
+        let at = usize::from(station);
+        let heard: Vec<usize> = (0..self.stations).filter(|from| *from != at && !self.is_apart(at, *from)).collect();
+        for from in heard {
             // If there is no message of a station, its age exceeds every limit.
             let age = self.newest[usize::from(station) * self.stations + from].map_or(NEVER, |at| now.since(at));
             self.add_age(age);

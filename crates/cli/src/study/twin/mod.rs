@@ -15,6 +15,7 @@ use super::run::{CommandLine, Run};
 use crate::jobs;
 use crate::progress::{progress, watched};
 use murmurate::config::shown::counted;
+use murmurate::net::media::radio::Powers;
 use murmurate::registry::Registry;
 use murmurate::trial::Trial;
 use murmurate_import::mapping;
@@ -25,6 +26,7 @@ use murmurate_study::twin::lag::Limits;
 use murmurate_study::twin::missing::{self, Held, Missing};
 use murmurate_study::twin::model::{self, Basis, Fitted, Given};
 use murmurate_study::twin::pages::Words;
+use murmurate_study::twin::path::PathLoss;
 use murmurate_study::twin::predict::{self, Predicted};
 use run_of::{Origin, Recorded};
 
@@ -231,7 +233,7 @@ fn command(args: &Args) -> String {
 
 /// Returns what was not fitted to a run, and notes on how the rest was.
 fn said_of(found: &Fitted, origin: &Origin) -> (Vec<Missing>, Vec<String>) {
-    let mut notes = Vec::new();
+    let mut notes: Vec<String> = found.path.iter().map(powers_of).collect();
     match origin {
         Origin::Team(trial, _) => {
             notes.extend(found.late_s.map(|late_s| {
@@ -257,6 +259,17 @@ fn said_of(found: &Fitted, origin: &Origin) -> (Vec<Missing>, Vec<String>) {
             (missing::of_import(found, held), notes)
         }
     }
+}
+
+/// Returns the table of a radio file that has a path loss.
+fn powers_of(path: &PathLoss) -> String {
+    let Powers { exponent, detect_dbm, sense_dbm, .. } = path.powers();
+    format!(
+        "fewer messages arrive over longer distances, as with a radio of these powers ({:.0} % are lost at all \
+         distances): [powers] exponent = {exponent:.1}, fading = \"rayleigh\", detect_dbm = {detect_dbm:.1}, \
+         sense_dbm = {sense_dbm:.1}",
+        100.0 * path.loss.value
+    )
 }
 
 /// Simulates the second half of the episodes `repeats` times with the fitted model. Returns the results of the repeats;
