@@ -12,6 +12,8 @@ const BESIDE: u32 = 70;
 const MOST: f64 = 760.0;
 /// Number of dashes between stations that only sense each other.
 const DASHES: usize = 14;
+/// Height of a bent line over its length.
+const BEND: f64 = 0.1;
 
 /// Pairs of stations that a transmission of one of them reaches, by their indices, smaller first.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -56,8 +58,8 @@ pub fn reach(title: &str, places: &[[f32; 2]], pairs: &Pairs) -> Result<String, 
         mesh.x_label_formatter(&whole).y_label_formatter(&whole);
         mesh.label_style(("sans-serif", TEXT - 2)).axis_desc_style(("sans-serif", TEXT - 2)).draw()?;
         for &(from, to) in &pairs.sensed {
-            let pieces = dashes(places[from], places[to], DASHES);
-            chart.draw_series(pieces.map(|piece| PathElement::new(piece, colour(5).stroke_width(1))))?;
+            let pieces = bent(places[from], places[to]);
+            chart.draw_series(pieces.map(|piece| PathElement::new(piece, colour(5).stroke_width(2))))?;
         }
         let line =
             |&(from, to): &(usize, usize)| PathElement::new(vec![places[from], places[to]], colour(0).stroke_width(2));
@@ -70,6 +72,17 @@ pub fn reach(title: &str, places: &[[f32; 2]], pairs: &Pairs) -> Result<String, 
     })
 }
 
+/// Returns the dashes of a bent line between two points, which shows beside a straight one of others.
+fn bent(from: (f64, f64), to: (f64, f64)) -> impl Iterator<Item = Vec<(f64, f64)>> {
+    let (x, y) = (to.0 - from.0, to.1 - from.1);
+    let at = move |t: f64| {
+        let bulge = BEND * 4.0 * t * (1.0 - t);
+        (from.0 + x * t - y * bulge, from.1 + y * t + x * bulge)
+    };
+    let step = 1.0 / DASHES as f64;
+    (0..DASHES).map(move |piece| vec![at(step * piece as f64), at(step * (piece as f64 + 0.55))])
+}
+
 fn legend(area: &super::Area) -> Drawn {
     let text =
         |label: &str, x: i32| Text::new(label.to_owned(), (x, 64), style(TEXT - 2, GREY, HPos::Left, VPos::Center));
@@ -79,7 +92,7 @@ fn legend(area: &super::Area) -> Drawn {
         let piece: Vec<(i32, i32)> = piece.into_iter().map(|(x, y)| (x as i32, y as i32)).collect();
         area.draw(&PathElement::new(piece, colour(5).stroke_width(2)))?;
     }
-    area.draw(&text("only sense each other; others are hidden from each other", 360))?;
+    area.draw(&text("only sense each other; without a line: hidden from each other", 360))?;
     Ok(())
 }
 

@@ -105,7 +105,12 @@ impl Options {
     pub fn memory_bytes(&self) -> u64 {
         let (robots, floats) = (self.robots as u64, self.floats as u64);
         let edges = robots * robots;
-        let radio = if self.radio.is_some() { 2000 + 600 * robots } else { 0 };
+        let radio = match &self.radio {
+            None => 0,
+            // With space, each station has a view of its own and knows its paths to all others.
+            Some(radio) if radio.has_space() => 3000 + 900 * robots + 80 * edges,
+            Some(_) => 2000 + 600 * robots,
+        };
         // Buffers, what is held, and one message on its way for each edge.
         let row = edges * (9 + 4 * floats + 13 + 24) + 4 * self.memory() as u64 * robots * floats;
         self.environments as u64 * (500 + 20 * robots + radio + row)

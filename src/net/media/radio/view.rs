@@ -180,7 +180,7 @@ impl View {
 
     /// Counts the bits of the frame that is read up to `now`, with the noise and the other frames of that time.
     fn count(&mut self, now: Time, receiver: &Receiver) {
-        let all = self.power();
+        let all = if self.reading.as_ref().is_some_and(|reading| !reading.alone) { self.power() } else { 0.0 };
         let Some(reading) = &mut self.reading else { return };
         let others = receiver.noise + if reading.alone { 0.0 } else { (all - reading.arrival.power).max(0.0) };
         let bits = reading.arrival.bits_per_s * now.since(reading.counted).as_secs();

@@ -96,6 +96,11 @@ fn named<T: DeserializeOwned + PartialEq + Clone>(flag: &str, given: &[String], 
 /// Returns places of a form, or those in a file. An error names the flag.
 fn places(given: &str) -> Result<Places> {
     if !given.contains(':') {
+        if !Path::new(given).exists() {
+            return bad(format!(
+                "--places: there is no file '{given}'; give it, or line:GAP, ring:RADIUS or grid:GAP [m]"
+            ));
+        }
         let text = read_text(Path::new(given), "file of places")?;
         return Places::from_text(&text).map_err(|e| BadInput(format!("--places: '{given}': {e}")).into());
     }

@@ -32,7 +32,8 @@ impl<T: Clone> Field<T> {
                 let missed = self.missed(traffic, &frame);
                 if frame.hop != Hop::Foreign {
                     let airtime = now.since(air.since) - traffic.times.propagation;
-                    let collided = missed > 0 || air.overlapped && frame.copies() == 0;
+                    let unwanted = !frame.unicast() && frame.copies() == 0;
+                    let collided = missed > 0 || air.overlapped && unwanted;
                     traffic.count(&frame, Sent { by, since: air.since, airtime, collided });
                 }
                 if !frame.unicast() {
@@ -54,17 +55,25 @@ impl<T: Clone> Field<T> {
             }
         }
         self.on_air.end(until, traffic);
-        for hearer in air.hearers.iter().filter(|hearer| hearer.sensed) {
+        for hearer in &air.hearers {
             let at = usize::from(hearer.station);
             let view = &mut self.views[at];
+            if answered == Some(true) && (at == by || self.receptions[at] == Reception::Read) {
+                view.reserved = view.reserved.max(until);
+            }
+            if !hearer.sensed {
+                // Read, though too weak to be sensed: the reservation holds all the same.
+                if view.busy == 0 && view.free_at < view.reserved + traffic.times.aifs {
+                    view.free_at = view.reserved + traffic.times.aifs;
+                    self.plan(traffic, at);
+                }
+                continue;
+            }
             match self.receptions[at] {
                 _ if at == by => view.unread |= answered == Some(false),
                 Reception::Read => view.unread = answered == Some(false),
                 Reception::Far => {}
                 Reception::Faded | Reception::Collided => view.unread = true,
-            }
-            if answered == Some(true) && (at == by || self.receptions[at] == Reception::Read) {
-                view.reserved = view.reserved.max(until);
             }
             view.busy -= 1;
             if view.busy == 0 {
