@@ -10,8 +10,8 @@ use murmurate_train::config::Conditions;
 /// Latents that a robot sends \[1/s\]: one for each decision.
 const RATE: f64 = 20.0;
 
-/// Sets the delay and loss of messages in the training conditions `conditions` to those of robots at `places` \[m\] (200
-/// at most) on the medium. The places matter on a radio with space, where messages to those in reach count. An
+/// Sets the delay and loss of messages in the training conditions `conditions` to those of robots at `places` \[m\]
+/// (200 at most) on the medium. The places matter on a radio with space, where messages to those in reach count. An
 /// emulation finds delay and loss for latents that are sent 20 times a second by best-effort multicast; the delay is a
 /// range from its 10 % to its 90 % quantile, both 0.5 s at most. Returns `None`, and changes nothing, if no message
 /// arrives.

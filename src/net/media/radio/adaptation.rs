@@ -306,9 +306,10 @@ mod tests {
 
     #[test]
     fn the_fastest_rate_that_carries_is_found() {
-        for most in ["ofdm-54", "ofdm-24", "ofdm-6"] {
+        // Where those up to 6 Mbit/s of OFDM succeed, 11 Mbit/s of DSSS do, too.
+        for (most, best) in [("ofdm-54", "ofdm-54"), ("ofdm-24", "ofdm-24"), ("ofdm-6", "dsss-11")] {
             let counts = sent(&radio(), most);
-            assert!(counts[most] > 800, "{most}: {counts:?}");
+            assert!(counts[best] > 800, "{most}: {counts:?}");
         }
         let narrow = Radio { rate: "ofdm-12".parse().unwrap(), ..radio() };
         let counts = sent(&narrow, "ofdm-54");

@@ -299,7 +299,7 @@ mod tests {
         let mut station = Station::new(&radio);
         station.queue.push_back(frame());
         for number in 0..16_u32 {
-            for drawn in [number << 28, (number << 28) + (1 << 28) - 1] {
+            for drawn in [number << 28, number << 28 | 0x0fff_ffff] {
                 station.done(&radio, drawn);
                 assert_eq!(station.slot(), Some(u64::from(number)));
             }

@@ -2,7 +2,7 @@
 
 use std::cmp::Reverse;
 
-use super::{Awaited, CERTAIN, Cargo, Event, Field, Outcome, Reception, receiver_of};
+use super::{Air, Awaited, CERTAIN, Cargo, Event, Field, Outcome, Reception, receiver_of};
 use crate::net::media::radio::links::Hearer;
 use crate::net::media::radio::rate::Rate;
 use crate::net::media::radio::station::{Destination, Hop, QueuedFrame};
@@ -11,54 +11,88 @@ use crate::net::media::radio::{ACK_BYTES, Radio, Times};
 use crate::random::RngExt;
 use crate::time::{Span, Time};
 
+/// Acknowledgement after a transmission, as those expect it who have read the transmission.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Answer {
+    /// There is none after such a transmission.
+    None,
+    /// The receiver has not read the frame, and will send none.
+    Missing,
+    /// It is on the air up to this time.
+    Until(Time),
+}
+
 impl<T: Clone> Field<T> {
     /// Ends a transmission: hands on what was read, and lets its hearers know.
     pub(super) fn end(&mut self, traffic: &mut Traffic<T>, now: Time, number: u32, deliveries: &mut Vec<Delivery<T>>) {
         let air = self.airs[number as usize].take().expect("a transmission on the air");
-        let by = usize::from(air.by);
-        self.views[by].sending = None;
+        self.views[usize::from(air.by)].sending = None;
         self.receptions.resize(traffic.stations.len(), Reception::Far);
         for hearer in air.hearers.iter().filter(|hearer| hearer.station != air.by) {
             self.receptions[usize::from(hearer.station)] = self.received(now, number, *hearer);
         }
-        let mut until = now;
-        // Whether hearers wait for an acknowledgement; `None` if there is none in question.
-        let mut answered = None;
-        let mut relayed = None;
-        match air.cargo {
-            Cargo::Acknowledgement(to) => self.acknowledged(traffic, usize::from(to)),
-            Cargo::Frame => {
-                let frame = traffic.stations[by].queue.pop_front().expect("a station that has sent has a frame");
-                let missed = self.missed(traffic, &frame);
-                if frame.hop != Hop::Foreign {
-                    let airtime = now.since(air.since) - traffic.times.propagation;
-                    let unwanted = !frame.unicast() && frame.copies() == 0;
-                    let collided = missed > 0 || air.overlapped && unwanted;
-                    traffic.count(&frame, Sent { by, since: air.since, airtime, collided });
-                }
-                if !frame.unicast() {
-                    self.deliver_multicast(traffic, now, &frame, deliveries);
-                    traffic.stations[by].queue.push_front(frame);
-                    self.outcomes[by] = Some(Outcome::Done);
-                } else if self.receives(traffic, &frame, air.overlapped) {
-                    let (rate, answer) = answer(&traffic.radio, &traffic.times, air.rate);
-                    until = now + answer;
-                    answered = Some(true);
-                    traffic.stations[by].counts.airtime_ns += answer.as_nanos();
-                    relayed = traffic.receive(now, &frame, deliveries);
-                    self.promise(traffic, now, by, frame, rate);
-                } else {
-                    answered = Some(false);
-                    traffic.stations[by].queue.push_front(frame);
-                    self.outcomes[by] = Some(Outcome::Failed);
-                }
+        let (answer, relayed) = match air.cargo {
+            Cargo::Acknowledgement(to) => {
+                self.acknowledged(traffic, usize::from(to));
+                (Answer::None, None)
             }
+            Cargo::Frame => self.end_frame(traffic, now, &air, deliveries),
+        };
+        self.on_air.end(if let Answer::Until(until) = answer { until } else { now }, traffic);
+        self.let_know(traffic, now, &air, answer);
+        if let Some(relayed) = relayed {
+            self.push(traffic, now, usize::from(traffic.members), relayed);
         }
-        self.on_air.end(until, traffic);
+        air.hearers.iter().for_each(|hearer| self.receptions[usize::from(hearer.station)] = Reception::Far);
+        self.spare.push(air.hearers);
+        self.idle_airs.push(number);
+    }
+
+    /// Ends the transmission of the frame at the front of its sender's queue. Returns what hearers expect after it, and
+    /// the frame that an access point has to relay.
+    fn end_frame(
+        &mut self,
+        traffic: &mut Traffic<T>,
+        now: Time,
+        air: &Air,
+        deliveries: &mut Vec<Delivery<T>>,
+    ) -> (Answer, Option<QueuedFrame<T>>) {
+        let by = usize::from(air.by);
+        let frame = traffic.stations[by].queue.pop_front().expect("a station that has sent has a frame");
+        let missed = self.missed(traffic, &frame);
+        if frame.hop != Hop::Foreign {
+            let airtime = now.since(air.since) - traffic.times.propagation;
+            let unwanted = !frame.unicast() && frame.copies() == 0;
+            let collided = missed > 0 || air.overlapped && unwanted;
+            traffic.count(&frame, Sent { by, since: air.since, airtime, collided });
+        }
+        if !frame.unicast() {
+            self.deliver_multicast(traffic, now, &frame, deliveries);
+            traffic.stations[by].queue.push_front(frame);
+            self.outcomes[by] = Some(Outcome::Done);
+            return (Answer::None, None);
+        }
+        if !self.receives(traffic, &frame, air.overlapped) {
+            traffic.stations[by].queue.push_front(frame);
+            self.outcomes[by] = Some(Outcome::Failed);
+            return (Answer::Missing, None);
+        }
+        let (rate, took) = answer(&traffic.radio, &traffic.times, air.rate);
+        traffic.stations[by].counts.airtime_ns += took.as_nanos();
+        let relayed = traffic.receive(now, &frame, deliveries);
+        self.promise(traffic, now, by, frame, rate);
+        (Answer::Until(now + took), relayed)
+    }
+
+    /// Lets the hearers of a transmission that has ended know of it, and of the acknowledgement after it.
+    fn let_know(&mut self, traffic: &mut Traffic<T>, now: Time, air: &Air, answer: Answer) {
         for hearer in &air.hearers {
             let at = usize::from(hearer.station);
+            let (is_sender, reception) = (hearer.station == air.by, self.receptions[at]);
             let view = &mut self.views[at];
-            if answered == Some(true) && (at == by || self.receptions[at] == Reception::Read) {
+            if let Answer::Until(until) = answer
+                && (is_sender || reception == Reception::Read)
+            {
                 view.reserved = view.reserved.max(until);
             }
             if !hearer.sensed {
@@ -69,9 +103,9 @@ impl<T: Clone> Field<T> {
                 }
                 continue;
             }
-            match self.receptions[at] {
-                _ if at == by => view.unread |= answered == Some(false),
-                Reception::Read => view.unread = answered == Some(false),
+            match reception {
+                _ if is_sender => view.unread |= answer == Answer::Missing,
+                Reception::Read => view.unread = answer == Answer::Missing,
                 Reception::Far => {}
                 Reception::Faded | Reception::Collided => view.unread = true,
             }
@@ -80,12 +114,6 @@ impl<T: Clone> Field<T> {
                 self.idle(traffic, now, at);
             }
         }
-        if let Some(relayed) = relayed {
-            self.push(traffic, now, usize::from(traffic.members), relayed);
-        }
-        air.hearers.iter().for_each(|hearer| self.receptions[usize::from(hearer.station)] = Reception::Far);
-        self.spare.push(air.hearers);
-        self.idle_airs.push(number);
     }
 
     /// Returns how a transmission that ends was received by a station.
