@@ -204,6 +204,7 @@ full-lab:
     cargo build --release --features lab
     TESTS_MUST=lab cargo test --release --features lab --test lab
     bash tests/peers/lab/full.sh target/release/murmurate
+    bash tests/peers/lab/space.sh target/release/murmurate
 
 # The baselines of coverage on 20 worlds of CoverageControl, beside the library's own: 2 % at the most. PYTHON is one for which
 # PyPI has coverage-control 1.3.1, such as 3.11 (25 minutes, network, 200 MB)

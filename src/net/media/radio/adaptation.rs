@@ -312,7 +312,7 @@ mod tests {
             assert!(counts[best] > 800, "{most}: {counts:?}");
         }
         let narrow = Radio { rate: "ofdm-12".parse().unwrap(), ..radio() };
-        let counts = sent(&narrow, "ofdm-54");
+        let counts = sent(&narrow, "ofdm-12");
         assert!(!counts.contains_key("ofdm-18") && counts["ofdm-12"] > 800, "{counts:?}");
     }
 
