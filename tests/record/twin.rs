@@ -11,6 +11,7 @@ use murmurate::deploy::team::TeamFile;
 use murmurate::graph::event;
 use murmurate::graph::inputs::Input;
 use murmurate::messages::ids::HostId;
+use murmurate::net::media::radio::{Fading, Powers, Radio, Topology};
 use murmurate::policy::Model;
 use murmurate::registry::Registry;
 use murmurate::simulate::Proceed;
@@ -102,8 +103,13 @@ fn impaired(mut deployment: Deployment) -> Deployment {
     deployment
 }
 
-/// Records an emulated run of this many episodes, and returns the folder and that of the records.
+/// Records an emulated run of this many episodes with delay and loss, and returns the folder and that of the records.
 pub fn recorded(episodes: u32) -> (TempDir, PathBuf) {
+    recorded_on(episodes, impaired)
+}
+
+/// Records an emulated run over links that `change` makes of those of the team.
+fn recorded_on(episodes: u32, change: impl Fn(Deployment) -> Deployment) -> (TempDir, PathBuf) {
     let folder = TempDir::new().unwrap();
     let (team, to) = (folder.path().join("team.toml"), folder.path().join("records"));
     let toml = TEAM.replacen("seed", &format!("episodes = {episodes}\nseed"), 1);
@@ -113,7 +119,7 @@ pub fn recorded(episodes: u32) -> (TempDir, PathBuf) {
     let file = TeamFile::read(&registry, &toml, folder.path(), &[], &[]).unwrap();
     let of_host = file.for_host(HostId(0)).unwrap();
     let mut trial = Trial::of_host(&registry, &of_host, Model::Orca).unwrap();
-    trial.deployment = impaired(trial.deployment);
+    trial.deployment = change(trial.deployment);
     let hosts = 0..trial.deployment.hosts.len() as u16;
     let writers: BTreeMap<u16, Writer> =
         hosts.map(|number| (number, Writer::begin(&to, &trial, number, &team))).collect();
@@ -199,6 +205,28 @@ fn what_a_run_was_like_is_found_again_and_a_model_without_lag_is_refuted() {
     assert!(status == 2 && said.contains("its flags differ"), "{said}");
     without_true_states(folder.path(), to);
     is_taken(&out);
+}
+
+#[test]
+fn the_path_loss_of_a_radio_is_found_by_the_distances_of_its_robots() {
+    // Exponent 3 and a preamble from -38 dBm on: 37 % arrive over 2.93 m.
+    let powers =
+        Powers { fading: Fading::Rayleigh, detect_dbm: -38.0, sense_dbm: -60.0, noise_dbm: -70.0, ..Powers::default() };
+    let basic_rate = "ofdm-6".parse().expect("a rate");
+    let radio = Radio { channel: Topology::AdHoc, basic_rate, powers: Some(powers), ..Radio::default() };
+    let (_folder, to) = recorded_on(28, |deployment| deployment.with_radio(&radio));
+    let output = run(&["study", "twin", to.to_str().expect("a path"), "--repeats", "2", "--json", "--quiet"]);
+    let said = text(&output.stdout) + &text(&output.stderr);
+    let report = rows(&said);
+    let fitted = |name: &str| {
+        let all = report["rows"].as_array().expect("rows");
+        let row = all.iter().find(|row| row["name"] == name).unwrap_or_else(|| panic!("no row '{name}': {said}"));
+        row["predicted"]["value"].as_f64().expect("a number")
+    };
+    let (exponent, reach_m) = (fitted("path loss, exponent"), fitted("path loss, 37 % arrive over"));
+    assert!((exponent - 3.0).abs() < 0.4, "{exponent}");
+    assert!((reach_m / 2.93 - 1.0).abs() < 0.1, "{reach_m}");
+    assert!(said.contains("fading = \\\"rayleigh\\\""), "{said}");
 }
 
 /// Checks the fit to records without true states.

@@ -5,10 +5,12 @@
 //! distributed, and its mean falls with d^n. At the distance `reach` the mean is the least power that is read, and 37 %
 //! arrive. What is lost at all distances alike is fitted beside it.
 
+use std::collections::BTreeSet;
 use std::ops::Range;
 
 use super::estimate::{Estimate, bootstrap};
 use super::links::Crossing;
+use murmurate::messages::ids::LinkId;
 use murmurate::net::media::radio::{Fading, Powers};
 use murmurate::random::Stream;
 
@@ -54,11 +56,18 @@ struct Bin {
 /// Parameters that are looked for: exponent, logarithm of the reach, loss.
 type Point = [f64; 3];
 
-/// Fits the path loss to the messages of these episodes whose ends were seen. Returns `None` if the share that arrives
-/// does not fall with the distance.
+/// Fits the path loss of the first link that has one to the messages of these episodes whose ends were seen. Returns
+/// `None` if the share that arrives does not fall with the distance on any link.
 pub fn fit(crossings: &[Crossing], episodes: Range<u32>, stream: &mut Stream) -> Option<PathLoss> {
+    let links: BTreeSet<LinkId> = crossings.iter().map(|crossing| crossing.link).collect();
+    links.into_iter().find_map(|link| of_link(crossings, link, episodes.clone(), stream))
+}
+
+/// Fits the path loss of one link.
+fn of_link(crossings: &[Crossing], link: LinkId, episodes: Range<u32>, stream: &Stream) -> Option<PathLoss> {
     let seen = || {
-        let within = crossings.iter().filter(|crossing| episodes.contains(&crossing.episode));
+        let of_link = crossings.iter().filter(|crossing| crossing.link == link);
+        let within = of_link.filter(|crossing| episodes.contains(&crossing.episode));
         within.filter_map(|crossing| Some((crossing, f64::from(crossing.distance_m?))))
     };
     let farthest_m = seen().map(|(_, distance_m)| distance_m).fold(0.0, f64::max);
@@ -164,7 +173,7 @@ mod tests {
     use rand::RngExt;
 
     use super::*;
-    use murmurate::messages::ids::{HostId, LinkId};
+    use murmurate::messages::ids::HostId;
     use murmurate::random::Seed;
 
     /// Returns messages over distances up to 40 m, of which the share arrives that `share` gives for a distance.
