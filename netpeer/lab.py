@@ -16,6 +16,8 @@ A name that is no peer's is taken as a command. Needs root and a program with th
 each. Then only pairs within the radio's `range_m` count as receivers. A participant says that it is ready when it has
 heard all others, which cannot be where some are out of range: there all begin after `--wait`. `--bytes` is the size of a
 message; the harness's peers are built for it by `BYTES=12000 netpeer/peers.sh`, and `ours` has 152 alone.
+Participants of one rate send one after the other, each at its own time of the period, so that hidden stations never meet.
+With `--spread 0.05` their rates go evenly from 5 % less to 5 % more, and their times pass through each other.
 
 Fields of a row: `delivered`, `in20ms`, `in50ms` are shares of all messages times receivers; `met` is the share of the
 pairs in range of which any message arrived, `beyond` counts messages from out of range. `airtime` is the share of the
@@ -53,6 +55,7 @@ def arguments():
     parser.add_argument("--bytes", type=int, default=BYTES, help="size of a message")
     parser.add_argument("--rates", help="messages a second of all together; default: --rate for each participant")
     parser.add_argument("--rate", type=float, default=20.0, help="messages a second of each participant")
+    parser.add_argument("--spread", type=float, default=0.0, help="of the rates, as a share; see above")
     parser.add_argument("--preset", default="wifi", help="radio of the lab")
     parser.add_argument("--radio", default="", help="fields on top, such as 'noise_loss=0.16,retries=3'")
     parser.add_argument("--retries", help="a sweep of the radio's field of that name, such as 1,3,5,7")
@@ -181,13 +184,15 @@ def measure(args, lab, peer, variables, command, rate):
     if args.bytes != BYTES and rate > 0:
         # Large hellos come no more often than messages.
         hello_ms = max(hello_ms, int(1000 * robots / rate))
-    environment = dict(os.environ, NP_N=str(robots), NP_RATE=str(rate / robots), NP_SECONDS=str(args.seconds),
+    environment = dict(os.environ, NP_N=str(robots), NP_SECONDS=str(args.seconds),
                        NP_DRAIN=str(args.drain), NP_IFACE=about["interface"], NP_DIR=folder, NP_START_NS=str(start),
                        NP_HELLO_MS=str(hello_ms),
                        NP_PEERS=",".join(station["address"] for station in stations), **variables)
     processes = []
     for station in stations:
-        own = dict(environment, NP_ID=str(station["station"]), NP_ADDR=station["address"])
+        number = station["station"]
+        spread = 1 + args.spread * (2 * number / max(1, robots - 1) - 1)
+        own = dict(environment, NP_ID=str(number), NP_ADDR=station["address"], NP_RATE=str(rate / robots * spread))
         log = open(os.path.join(folder, f"log.{station['station']}"), "w")
         words = ["nice", "-n", os.environ.get("NP_NICE", "-15"), "ip", "netns", "exec", station["namespace"],
                  "sh", "-c", "exec " + command]
@@ -223,7 +228,7 @@ def measure(args, lab, peer, variables, command, rate):
                 os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
     row = result(args, folder, start, lab.hears)
-    row.update(places=args.places, bytes=args.bytes)
+    row.update(places=args.places, bytes=args.bytes, spread=args.spread)
     row.update(peer=peer, n=robots, rate=rate, preset=args.preset, radio=args.radio, seconds=args.seconds)
     radio, (late, deliveries), lost = between(before, after)
     sending, _, _ = between(before, busy)

@@ -194,7 +194,9 @@ def join_zenoh(participant, variant):
     listen = {"rel": f"tcp/{address}:7447", "drop": f"tcp/{address}:7447", "be": f"udp/{address}:7447",
               "mc": f"udp/{GROUP}#iface={interface}"}[variant]
     fields = {"mode": "peer", "listen/endpoints": [listen], "scouting/multicast/interface": interface,
-              "scouting/multicast/enabled": variant != "mc", "scouting/gossip/enabled": variant != "mc"}
+              "scouting/multicast/enabled": variant != "mc", "scouting/gossip/enabled": variant != "mc",
+              # Robots share no memory; on one machine messages of 3 kB and more would go past the medium.
+              "transport/shared_memory/enabled": False}
     for field, value in fields.items():
         config.insert_json5(field, json.dumps(value))
     session = zenoh.open(config)
