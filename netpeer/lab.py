@@ -14,10 +14,10 @@ A name that is no peer's is taken as a command. Needs root and a program with th
 
 `--places` puts the stations at places: `line:25` and `grid:25` by their spacing [m], or a file with a line `x y` for
 each. Then only pairs within the radio's `range_m` count as receivers. A participant says that it is ready when it has
-heard all others, which cannot be where some are out of range: there all begin after `--wait`. `--bytes` is the size of a
-message; the harness's peers are built for it by `BYTES=12000 netpeer/peers.sh`, and `ours` has 152 alone.
-Participants of one rate send one after the other, each at its own time of the period, so that hidden stations never meet.
-With `--spread 0.05` their rates go evenly from 5 % less to 5 % more, and their times pass through each other.
+heard all others. Where some are out of range it never is, so `--wait` is the time that all have to find each other.
+`--bytes` is the size of a message; `BYTES=12000 netpeer/peers.sh` builds the harness's peers for it, and `ours` has
+152 alone. Participants of one rate send at evenly spaced times of the period, so hidden stations never meet. With
+`--spread 0.05` their rates go evenly from 5 % less to 5 % more, and so their times pass through each other.
 
 Fields of a row: `delivered`, `in20ms`, `in50ms` are shares of all messages times receivers; `met` is the share of the
 pairs in range of which any message arrived, `beyond` counts messages from out of range. `airtime` is the share of the
