@@ -12,13 +12,22 @@ Peers are those of $NETPEERS/peers.txt, with {B} for $BUILD (default $NETPEERS/.
 participant.py. netpeer/peers.sh installs them.
 A name that is no peer's is taken as a command. Needs root and a program with the feature `lab`.
 
-Fields of a row: `delivered`, `in20ms`, `in50ms` are shares of all messages times receivers. `airtime` is the share of the
+`--places` puts the stations at places: `line:25` and `grid:25` by their spacing [m], or a file with a line `x y` for
+each. Then only pairs within the radio's `range_m` count as receivers. A participant says that it is ready when it has
+heard all others. Where some are out of range it never is, so `--wait` is the time that all have to find each other.
+`--bytes` is the size of a message; `BYTES=12000 netpeer/peers.sh` builds the harness's peers for it, and `ours` has
+152 alone. Participants of one rate send at evenly spaced times of the period, so hidden stations never meet. With
+`--spread 0.05` their rates go evenly from 5 % less to 5 % more, and so their times pass through each other.
+
+Fields of a row: `delivered`, `in20ms`, `in50ms` are shares of all messages times receivers; `met` is the share of the
+pairs in range of which any message arrived, `beyond` counts messages from out of range. `airtime` is the share of the
 time of sending in which the stations' frames were on the air, `air_ms_per_msg` that time for each message sent.
 `frames_per_msg` counts transmissions with retries. `mesh_s` is the time until every participant has heard every other,
 `mesh_airtime` the share of airtime until then. `late` is the share of frames that the lab has written late: with more
 than 0.01 the machine was too slow for the case, and its delays are not the channel's."""
 import argparse
 import json
+import math
 import os
 import shutil
 import signal
@@ -29,6 +38,8 @@ import time
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 ROOT = os.path.dirname(HERE)
+# Size of a message by the contract of the harness [bytes].
+BYTES = 152
 # Time that participants in Python have to import their middleware, before they touch the network [s].
 PYTHON_STARTS = "2"
 now = time.monotonic_ns
@@ -39,15 +50,18 @@ def arguments():
     parser.add_argument("--program", default=os.path.join(ROOT, "target/release/murmurate"))
     parser.add_argument("--ours", default=os.path.join(ROOT, "target/release/examples/netpeer"))
     parser.add_argument("--peers", default="raw,fdds-uni-rel,fdds-mc-be,cyc-rel,cyc-be,ours")
-    parser.add_argument("--robots", default="3,5,10", help="numbers of participants")
+    parser.add_argument("--robots", help="numbers of participants; default: 3,5,10, or all places of a file")
+    parser.add_argument("--places", default="", help="line:SPACING, grid:SPACING [m], or a file of lines 'x y'")
+    parser.add_argument("--bytes", type=int, default=BYTES, help="size of a message")
     parser.add_argument("--rates", help="messages a second of all together; default: --rate for each participant")
     parser.add_argument("--rate", type=float, default=20.0, help="messages a second of each participant")
+    parser.add_argument("--spread", type=float, default=0.0, help="of the rates, as a share; see above")
     parser.add_argument("--preset", default="wifi", help="radio of the lab")
     parser.add_argument("--radio", default="", help="fields on top, such as 'noise_loss=0.16,retries=3'")
     parser.add_argument("--retries", help="a sweep of the radio's field of that name, such as 1,3,5,7")
     parser.add_argument("--seconds", type=float, default=5.0)
     parser.add_argument("--drain", type=float, default=1.0)
-    parser.add_argument("--wait", type=float, default=30.0, help="longest time for the mesh [s]")
+    parser.add_argument("--wait", type=float, default=30.0, help="time for the mesh, at most [s]")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--name", default="npl", help="name of the lab")
     parser.add_argument("--out", default="")
@@ -58,18 +72,19 @@ def peers(args):
     """Returns variables and command of each peer."""
     harness = os.environ.get("NETPEERS", "")
     build = os.environ.get("BUILD", os.path.join(harness, ".build"))
+    sized = build if args.bytes == BYTES else os.path.join(build, f"bytes-{args.bytes}")
     # Ours: multicast that repeats, without repeats, and unicast; `-data` without the heartbeats and modes of robots.
     known = {name + data: (dict(variables, **bare), args.ours)
              for name, variables in [("ours", {}), ("ours-be", {"NP_REPEAT": "0"}),
                                      ("ours-uni", {"NP_VARIANT": "uni", "NP_REPEAT": "0"})]
              for data, bare in [("", {}), ("-data", {"NP_ROBOT": "0"})]}
     for cast in ["uni", "mc"]:
-        known[f"fdds-{cast}-noack"] = ({"NP_VARIANT": f"{cast}-rel-nopack"}, f"{build}/fastdds")
+        known[f"fdds-{cast}-noack"] = ({"NP_VARIANT": f"{cast}-rel-nopack"}, f"{sized}/fastdds")
     for kind, variants in [("ros", "rel be noack rel-bare be-bare noack-bare"), ("zenoh", "rel drop be mc")]:
         for variant in variants.split():
             name = f"{kind}-{variant}"
             python = "zenoh-mc" if name == "zenoh-mc" else kind
-            known[name] = ({"NP_VARIANT": variant, "NP_LEAD": PYTHON_STARTS},
+            known[name] = ({"NP_VARIANT": variant, "NP_LEAD": PYTHON_STARTS, "NP_BYTES": str(args.bytes)},
                            f"{build}/{python}/bin/python {HERE}/participant.py {kind}")
     listed = os.path.join(harness, "peers.txt")
     if harness and os.path.exists(listed):
@@ -78,22 +93,58 @@ def peers(args):
                 if line.strip() and not line.startswith("#"):
                     name, variables, command = (part.strip() for part in line.split("|", 2))
                     pairs = dict(pair.split("=", 1) for pair in variables.split())
-                    known[name] = (pairs, command.replace("{B}", build))
-    return {name: known.get(name, ({}, name)) for name in args.peers.split(",")}
+                    known[name] = (pairs, command.replace("{B}", sized))
+    chosen = {name: known.get(name, ({}, name)) for name in args.peers.split(",")}
+    for name, (_, command) in chosen.items():
+        program = command.split()[0]
+        if args.bytes != BYTES and program == args.ours:
+            sys.exit(f"{name} has messages of {BYTES} bytes alone: leave --bytes out, or the peer")
+        if program.startswith(sized) and not os.path.exists(program):
+            sys.exit(f"{name} needs {program}: BYTES={args.bytes} netpeer/peers.sh builds it")
+    return chosen
+
+
+def places(args):
+    """Returns the place of each of a number of stations [m], as a function; None without places."""
+    kind, _, spacing = args.places.partition(":")
+    if not args.places:
+        return lambda robots: None
+    if kind == "line":
+        return lambda robots: [(float(spacing) * at, 0.0) for at in range(robots)]
+    if kind == "grid":
+        def grid(robots):
+            columns = math.ceil(math.sqrt(robots))
+            return [(float(spacing) * (at % columns), float(spacing) * (at // columns)) for at in range(robots)]
+        return grid
+    with open(args.places) as lines:
+        listed = [tuple(map(float, line.split())) for line in lines if line.strip()]
+    args.robots = args.robots or str(len(listed))
+    if max(map(int, args.robots.split(","))) > len(listed):
+        sys.exit(f"{args.places} has {len(listed)} places, fewer than --robots {args.robots}")
+    return lambda robots: listed[:robots]
 
 
 class Lab:
     """A laboratory that is up."""
 
-    def __init__(self, args, robots, retries):
+    def __init__(self, args, robots, retries, at):
         self.args, self.robots = args, robots
         fields = dict(pair.split("=", 1) for pair in args.radio.split(",") if pair)
         if retries is not None:
             fields["retries"] = retries
         radio = "".join(f"{key} = {value}\n" for key, value in fields.items())
         self.file = tempfile.NamedTemporaryFile("w", suffix=".toml", delete=False)
-        self.file.write(f'name = "{args.name}"\nstations = {robots}\npreset = "{args.preset}"\n\n[radio]\n{radio}')
+        stations = "".join(f"\n[[station]]\nnumber = {number}\nposition_m = [{x}, {y}]\n"
+                           for number, (x, y) in enumerate(at or []))
+        head = f'name = "{args.name}"\nstations = {robots}\npreset = "{args.preset}"\n'
+        self.file.write(f"{head}\n[radio]\n{radio}{stations}")
         self.file.close()
+        range_m = float(fields.get("range_m", "inf"))
+
+        def hear(own, other):
+            return own != other and (not at or math.dist(at[own], at[other]) <= range_m)
+        # The stations that each one can hear.
+        self.hears = [{other for other in range(robots) if hear(own, other)} for own in range(robots)]
 
     def __enter__(self):
         subprocess.run([self.args.program, "lab", "up", self.file.name], check=True, stderr=subprocess.PIPE)
@@ -129,13 +180,19 @@ def measure(args, lab, peer, variables, command, rate):
     start = now() + int((0.25 + 0.02 * robots + float(variables.get("NP_LEAD", 0))) * 1e9)
     about = lab.counters()
     stations = about["stations"]
-    environment = dict(os.environ, NP_N=str(robots), NP_RATE=str(rate / robots), NP_SECONDS=str(args.seconds),
+    hello_ms = 100 if robots <= 5 else 200 if robots <= 10 else 500
+    if args.bytes != BYTES and rate > 0:
+        # Large hellos come no more often than messages.
+        hello_ms = max(hello_ms, int(1000 * robots / rate))
+    environment = dict(os.environ, NP_N=str(robots), NP_SECONDS=str(args.seconds),
                        NP_DRAIN=str(args.drain), NP_IFACE=about["interface"], NP_DIR=folder, NP_START_NS=str(start),
-                       NP_HELLO_MS=str(100 if robots <= 5 else 200 if robots <= 10 else 500),
+                       NP_HELLO_MS=str(hello_ms),
                        NP_PEERS=",".join(station["address"] for station in stations), **variables)
     processes = []
     for station in stations:
-        own = dict(environment, NP_ID=str(station["station"]), NP_ADDR=station["address"])
+        number = station["station"]
+        spread = 1 + args.spread * (2 * number / max(1, robots - 1) - 1)
+        own = dict(environment, NP_ID=str(number), NP_ADDR=station["address"], NP_RATE=str(rate / robots * spread))
         log = open(os.path.join(folder, f"log.{station['station']}"), "w")
         words = ["nice", "-n", os.environ.get("NP_NICE", "-15"), "ip", "netns", "exec", station["namespace"],
                  "sh", "-c", "exec " + command]
@@ -170,7 +227,8 @@ def measure(args, lab, peer, variables, command, rate):
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
-    row = result(args, folder, start, robots)
+    row = result(args, folder, start, lab.hears)
+    row.update(places=args.places, bytes=args.bytes, spread=args.spread)
     row.update(peer=peer, n=robots, rate=rate, preset=args.preset, radio=args.radio, seconds=args.seconds)
     radio, (late, deliveries), lost = between(before, after)
     sending, _, _ = between(before, busy)
@@ -187,10 +245,10 @@ def measure(args, lab, peer, variables, command, rate):
     return row
 
 
-def result(args, folder, start, robots):
-    """Reads what the participants have written."""
-    row = dict(sent=0, failed=0, delivered=0.0, reports=0, duplicates=0)
-    mesh, delays, unique, cpu = [], {}, 0, 0.0
+def result(args, folder, start, hears):
+    """Reads what the participants have written; `hears` has the stations that each one can hear."""
+    row = dict(sent=0, failed=0, delivered=0.0, reports=0, duplicates=0, beyond=0)
+    mesh, delays, unique, cpu, robots, met, sent = [], {}, 0, 0.0, len(hears), set(), [0] * len(hears)
     for at in range(robots):
         path = os.path.join(folder, f"out.{at}")
         if not os.path.exists(path):
@@ -201,21 +259,29 @@ def result(args, folder, start, robots):
                 if kind == "mesh":
                     mesh.append(int(words[1]))
                 elif kind == "sent":
-                    row["sent"] += int(words[1])
+                    sent[at] = int(words[1])
                     row["failed"] += int(words[2])
                 elif kind == "cpu":
                     cpu += float(words[1]) + float(words[2])
                 elif kind == "from":
-                    unique += int(words[2])
+                    count, near = int(words[2]), int(words[1]) in hears[at]
+                    unique += count if near else 0
+                    row["beyond"] += 0 if near else count
+                    met.update({(at, int(words[1]))} if near and count else set())
                     row["duplicates"] += int(words[3])
                 elif kind == "h":
                     delays[int(words[1])] = delays.get(int(words[1]), 0) + int(words[2])
                 elif kind == "end":
                     row["reports"] += 1
                 elif len(words) == 4 and kind.isdigit():
+                    if int(words[1]) not in hears[at]:
+                        row["beyond"] += 1
+                        continue
                     unique += 1
+                    met.add((at, int(words[1])))
                     delays[int(words[3])] = delays.get(int(words[3]), 0) + 1
-    wanted = row["sent"] * (robots - 1)
+    row["sent"] = sum(sent)
+    wanted = sum(sent[other] for own in hears for other in own)
     total = sum(delays.values())
 
     def within(ms):
@@ -232,6 +298,7 @@ def result(args, folder, start, robots):
     row.update(delivered=unique / wanted if wanted else None, in20ms=within(20), in50ms=within(50),
                p50_ms=quantile(0.5), p90_ms=quantile(0.9), p99_ms=quantile(0.99),
                mesh_s=(max(mesh) - start) / 1e9 if len(mesh) == robots and all(mesh) else None,
+               met=len(met) / max(1, sum(map(len, hears))),
                cpu_ms_per_s=1e3 * cpu / (args.seconds + args.drain))
     return row
 
@@ -246,7 +313,7 @@ def table(rows):
     fields = [("deliv %", "delivered", 100, 1), ("20ms %", "in20ms", 100, 1), ("50ms %", "in50ms", 100, 1),
               ("p50 ms", "p50_ms", 1, 2), ("p90 ms", "p90_ms", 1, 1), ("air %", "airtime", 100, 2),
               ("frames", "frames_per_msg", 1, 2), ("mesh s", "mesh_s", 1, 2), ("mesh air %", "mesh_airtime", 100, 2),
-              ("cpu ms/s", "cpu_ms_per_s", 1, 0), ("late %", "late", 100, 2)]
+              ("met %", "met", 100, 0), ("cpu ms/s", "cpu_ms_per_s", 1, 0), ("late %", "late", 100, 2)]
     print(f"{'n':>3} {'msg/s':>6} {'retries':>7} {'peer':16}" + "".join(f"{title:>11}" for title, *_ in fields))
     cases = {}
     for row in rows:
@@ -262,12 +329,12 @@ def main():
     args = arguments()
     if os.geteuid() != 0:
         sys.exit("network namespaces need root")
-    chosen, rows = peers(args), []
+    chosen, place, rows = peers(args), places(args), []
     out = open(args.out, "a") if args.out else None
     for _ in range(args.rounds):
-        for robots in map(int, args.robots.split(",")):
+        for robots in map(int, (args.robots or "3,5,10").split(",")):
             for retries in args.retries.split(",") if args.retries else [None]:
-                with Lab(args, robots, retries) as lab:
+                with Lab(args, robots, retries, place(robots)) as lab:
                     rates = map(float, args.rates.split(",")) if args.rates else [args.rate * robots]
                     for rate in rates:
                         for name, (variables, command) in chosen.items():

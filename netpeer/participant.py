@@ -4,7 +4,8 @@
     NP_VARIANT=... python participant.py ros|zenoh
 
 Environment variables configure it (`NP_ID`, `NP_N`, `NP_RATE`, ...), and it writes its results to files in `NP_DIR`, as
-participant.rs does. A message has 152 bytes: sender, sequence number, timestamp, two floats of position, 32 floats.
+participant.rs does. A message has 152 bytes: sender, sequence number, timestamp, two floats of position, 32 floats;
+with `NP_BYTES` as many as that, filled up with zeros.
 
 Variants of `ros`, on Fast DDS over UDP, which is unicast:
 - `rel`: reliable, KEEP_LAST of `NP_DEPTH` (10), as ROS 2 has it by default.
@@ -66,6 +67,7 @@ class Participant:
         self.out_of_order = [0] * self.number
         self.last = [-1] * self.number
         self.delays = {}
+        self.size = max(MESSAGE.size, variable("NP_BYTES", MESSAGE.size))
         self.floats = [0.5 * (self.id + 1) + at for at in range(32)]
 
     def wait(self):
@@ -75,7 +77,7 @@ class Participant:
     def hear(self, message):
         """Takes note of a message that has arrived. Threads of the middleware call it."""
         arrival = now()
-        if len(message) != MESSAGE.size:
+        if len(message) != self.size:
             return
         sender, sequence, stamp = struct.unpack_from("<IIQ", message)
         if sender == self.id or sender >= self.number:
@@ -97,7 +99,7 @@ class Participant:
             self.delays[delay] = self.delays.get(delay, 0) + 1
 
     def message(self, sequence):
-        return MESSAGE.pack(self.id, sequence, now(), sequence & 0xFFFF, 0.0, *self.floats)
+        return MESSAGE.pack(self.id, sequence, now(), sequence & 0xFFFF, 0.0, *self.floats).ljust(self.size, b"\0")
 
     def write(self, name, text):
         temporary = os.path.join(self.folder, f".tmp.{self.id}")
@@ -192,7 +194,9 @@ def join_zenoh(participant, variant):
     listen = {"rel": f"tcp/{address}:7447", "drop": f"tcp/{address}:7447", "be": f"udp/{address}:7447",
               "mc": f"udp/{GROUP}#iface={interface}"}[variant]
     fields = {"mode": "peer", "listen/endpoints": [listen], "scouting/multicast/interface": interface,
-              "scouting/multicast/enabled": variant != "mc", "scouting/gossip/enabled": variant != "mc"}
+              "scouting/multicast/enabled": variant != "mc", "scouting/gossip/enabled": variant != "mc",
+              # Robots share no memory; on one machine messages of 3 kB and more would go past the medium.
+              "transport/shared_memory/enabled": False}
     for field, value in fields.items():
         config.insert_json5(field, json.dumps(value))
     session = zenoh.open(config)

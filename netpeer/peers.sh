@@ -5,6 +5,7 @@
 #
 # Debian's packages for the harness: libfastrtps-dev libfastcdr-dev cyclonedds-dev cyclonedds-tools.
 # Without NETPEERS only ROS 2 and Zenoh are installed. ROS is its version: jazzy (Fast DDS 2.14) or kilted (3.2).
+# With BYTES=12000 (or several sizes) the harness's peers are built for messages of that size, too: $BUILD/bytes-12000.
 # With ZENOH=1 the harness's Zenoh peer in Rust is built, too (15 minutes of processor time).
 set -euo pipefail
 build=${BUILD:-${NETPEERS:?names the folder of the harness, or BUILD where to install}/.build}
@@ -27,6 +28,15 @@ venv zenoh eclipse-zenoh==1.10.2
 venv zenoh-mc eclipse-zenoh==1.7.2
 if [ -n "${NETPEERS:-}" ]; then
     BUILD=$build "$NETPEERS/build.sh"
+    for bytes in ${BYTES:-}; do
+        source=$(mktemp -d)
+        cp "$NETPEERS"/*.{c,cpp,h,idl,sh} "$source"
+        chmod -R u+w "$source"
+        # Sender, sequence number, timestamp and position have 24 bytes; the rest are floats.
+        sed -i "s/float data\[32\]/float data[$(((bytes - 24) / 4))]/" "$source/np.h" "$source/np_msg.idl"
+        BUILD=$build/bytes-$bytes "$source/build.sh"
+        rm -r "$source"
+    done
     if [ "${ZENOH:-0}" = 1 ]; then
         # The harness may be read-only, and Cargo writes its lock file.
         source=$(mktemp -d)
