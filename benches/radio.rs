@@ -5,7 +5,7 @@ use std::sync::Arc;
 use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
 use murmurate::messages::geometry::Vec2;
-use murmurate::net::media::radio::{Channel, Destination, Powers, Radio, Topology};
+use murmurate::net::media::radio::{Channel, Destination, Fading, Powers, Radio, Topology};
 use murmurate::random::{RngExt, Seed};
 use murmurate::time::{Span, Time};
 
@@ -91,4 +91,38 @@ fn field(bencher: Bencher, space: &str) {
         }
         black_box(channel.counts(Time::ZERO).transmissions)
     });
+}
+
+/// Eight robots that move and multicast 200 bytes 20 times a second, each at its own moment, for ten seconds: without
+/// space, with it by discs, by powers, and by powers with shadowing and fading. An item is a transmission.
+#[divan::bench(args = ["without", "discs", "powers", "faded"])]
+fn steps(bencher: Bencher, space: &str) {
+    let robots = 8;
+    let run = || {
+        let mut radio = Radio { channel: Topology::AdHoc, ..Radio::default() };
+        match space {
+            "without" => {}
+            "discs" => radio.sense_m = Some(30.0),
+            "powers" => radio.powers = Some(Powers::default()),
+            _ => {
+                radio.powers = Some(Powers { shadowing_db: 4.0, fading: Fading::Rayleigh, ..Powers::default() });
+            }
+        }
+        let mut channel = Channel::new(radio, robots, &Seed::of_run(1));
+        let all: Arc<[u16]> = (0..robots).collect();
+        let mut arrived = Vec::new();
+        for step in 0..200_u64 {
+            for robot in 0..robots {
+                channel.place(robot, Vec2::new(f32::from(robot), 0.01 * step as f32));
+            }
+            for robot in 0..robots {
+                let now = Time::ZERO + Span::from_millis(50) * step + Span::from_nanos(5_500_000 * u64::from(robot));
+                channel.wake(now, &mut arrived);
+                channel.offer(now, robot, Destination::Many(Arc::clone(&all)), 200, ());
+                arrived.clear();
+            }
+        }
+        channel.counts(Time::ZERO).transmissions
+    };
+    bencher.counter(ItemsCount::new(run())).bench_local(|| black_box(run()));
 }

@@ -25,6 +25,7 @@ use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::Wire;
 use crate::net::media::ether;
+use crate::net::media::radio::Radio;
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
 use crate::trial::Trial;
@@ -205,8 +206,8 @@ pub(super) fn wire_world(
 fn ranged_media(trial: &Trial, graph: &Graph, process: &Process) -> Vec<Mailbox<ether::In>> {
     let links = trial.deployment.links.iter().zip(graph.media.iter()).filter(|_| process.emulated);
     let is_ranged = |link: &Link| {
-        let of_radio = || link.radio.as_ref().and_then(|radio| radio.range_m);
-        link.range_m.or_else(of_radio).or_else(|| users_m(trial, link)).is_some()
+        let by_radio = link.radio.as_ref().is_some_and(Radio::needs_positions);
+        by_radio || link.range_m.or_else(|| users_m(trial, link)).is_some()
     };
     let ranged = links.filter(|(link, _)| is_ranged(link));
     ranged.map(|(_, medium)| medium.clone()).collect()

@@ -11,6 +11,7 @@ use murmurate::net::media::radio::{
 };
 use murmurate::random::{RngExt, Seed};
 use murmurate::time::{Span, Time};
+use murmurate::trial::Trial;
 
 fn at_s(s: f64) -> Time {
     Time::ZERO + Span::from_secs(s)
@@ -230,4 +231,17 @@ fn a_channel_with_space_continues_from_where_it_was_stored() {
     let (first, second) = (run(&mut channel, 500..1500), run(&mut again, 500..1500));
     assert!(first.len() > 300, "{}", first.len());
     assert_eq!(first, second);
+}
+
+#[test]
+fn robots_of_a_run_lose_what_is_sent_far_from_them() {
+    // The power at 1 m is -24 dBm, and robots of the passage are up to 3 m apart.
+    let lost = |detect_dbm: f64| {
+        let powers = Powers { detect_dbm, sense_dbm: -60.0, ..Powers::default() };
+        let mut trial = Trial::preset("onboard-adhoc", "passage").expect("a preset").seed(5);
+        trial.deployment = trial.deployment.with_radio(&Radio { powers: Some(powers), ..ad_hoc() });
+        trial.run().totals.radio.lost_range
+    };
+    let (far, near) = (lost(-33.0), lost(-60.0));
+    assert!(near == 0 && far > 500, "{far} and {near}");
 }

@@ -14,6 +14,8 @@ use murmurate::messages::ids::LinkId;
 use murmurate::net::media::radio::{Fading, Powers};
 use murmurate::random::Stream;
 
+/// Distance below which the power is that at this distance \[m\].
+const REFERENCE_M: f64 = 1.0;
 /// Number of intervals of the distance for which messages are counted.
 const BINS: usize = 40;
 /// Gain of the logarithm of the likelihood, over a share that does not depend on the distance, from which on a path
@@ -156,10 +158,11 @@ fn likelihood(bins: &[Bin], [exponent, ln_reach, loss]: Point) -> f64 {
         return f64::NEG_INFINITY;
     }
     let of_bin = |bin: &Bin| {
-        let share = (1.0 - loss) * (-((exponent * (bin.distance_m.ln() - ln_reach)).exp())).exp();
+        let far = bin.distance_m.max(REFERENCE_M).ln() - ln_reach;
+        let share = (1.0 - loss) * (-((exponent * far).exp())).exp();
         ln_likelihood_of(bin.due, bin.arrived, share)
     };
-    bins.iter().filter(|bin| bin.due > 0.0 && bin.distance_m > 0.0).map(of_bin).sum()
+    bins.iter().filter(|bin| bin.due > 0.0).map(of_bin).sum()
 }
 
 /// Returns the logarithm of the likelihood that `arrived` of `due` arrive, each with the probability `share`.

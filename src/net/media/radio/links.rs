@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Radio;
-use super::powers::{Powers, milliwatts};
+use super::powers::{Powers, Scale};
 use crate::cells::{Cells, LINEAR_SEARCH_MAX};
 use crate::messages::geometry::Vec2;
 use crate::random::Stream;
@@ -27,8 +27,8 @@ pub(super) struct Hearer {
 struct Link {
     /// The station, with what reaches it if the powers of all frames are the same.
     hearer: Hearer,
-    /// Power of the path \[dBm\].
-    path_dbm: f64,
+    /// Power of the path \[mW\].
+    path: f64,
     /// Probability that shadowing makes a frame matter.
     chance: f64,
 }
@@ -36,8 +36,12 @@ struct Link {
 /// Links between the stations of a channel, by their positions.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(super) struct Links {
-    /// Stations that each station reaches, in the order of their indices; `None` where they are to be found out anew.
-    of: Vec<Option<Vec<Link>>>,
+    /// Stations that each station reaches, in the order of their indices.
+    of: Vec<Vec<Link>>,
+    /// Whether they are those of now, by station.
+    known: Vec<bool>,
+    /// Powers of the channel; `None` if all are equal.
+    scale: Option<Scale>,
     /// Corners of the outline of each wall \[m\].
     walls: Vec<Vec<[f32; 2]>>,
     /// Located stations in a grid, as far as a transmission reaches; `None` if it is to be made anew.
@@ -54,14 +58,15 @@ struct Grid {
 }
 
 impl Links {
-    /// Returns the links of `stations` stations.
-    pub fn new(stations: usize) -> Links {
-        Links { of: vec![None; stations], ..Links::default() }
+    /// Returns the links of `stations` stations on a channel with these parameters.
+    pub fn new(radio: &Radio, stations: usize) -> Links {
+        let scale = radio.powers.as_ref().map(Scale::of);
+        Links { of: vec![Vec::new(); stations], known: vec![false; stations], scale, ..Links::default() }
     }
 
     /// Forgets all links, since stations have moved.
     pub fn moved(&mut self) {
-        self.of.iter_mut().for_each(|links| *links = None);
+        self.known.fill(false);
         self.grid = None;
     }
 
@@ -81,20 +86,23 @@ impl Links {
         stream: &mut Stream,
         to: &mut Vec<Hearer>,
     ) {
-        if self.of[usize::from(from)].is_none() {
-            let mut grid = self.grid.take();
-            self.of[usize::from(from)] = Some(self.found(radio, positions, from, &mut grid));
-            self.grid = grid;
+        let at = usize::from(from);
+        if !std::mem::replace(&mut self.known[at], true) {
+            let (mut grid, mut links) = (self.grid.take(), std::mem::take(&mut self.of[at]));
+            links.clear();
+            self.find(radio, positions, from, &mut grid, &mut links);
+            (self.grid, self.of[at]) = (grid, links);
         }
-        let links = self.of[usize::from(from)].as_deref().unwrap_or_default();
-        match radio.powers.as_ref().filter(|powers| powers.varies()) {
+        let links = &self.of[at];
+        let varies = radio.powers.as_ref().is_some_and(Powers::varies);
+        match self.scale.filter(|_| varies) {
             None => to.extend(links.iter().map(|link| link.hearer)),
-            Some(powers) => to.extend(links.iter().filter_map(|link| {
+            Some(scale) => to.extend(links.iter().filter_map(|link| {
                 if link.hearer.station == from {
                     return Some(link.hearer);
                 }
-                let dbm = powers.of_frame(link.path_dbm, link.chance, stream)?;
-                of_power(powers, link.hearer.station, dbm)
+                let power = scale.of_frame(link.path, link.chance, stream)?;
+                of_power(scale, link.hearer.station, power)
             })),
         }
     }
@@ -102,44 +110,31 @@ impl Links {
     /// Returns the stations that a transmission of the station `from` reaches, itself among them, without shadowing and
     /// fading.
     pub fn paths(&self, radio: &Radio, positions: &[Option<Vec2>], from: u16) -> Vec<Hearer> {
-        let found = self.found(radio, positions, from, &mut None);
-        let hearer = |link: Link| match &radio.powers {
-            Some(powers) if link.hearer.station != from => of_power(powers, link.hearer.station, link.path_dbm),
+        let mut found = Vec::new();
+        self.find(radio, positions, from, &mut None, &mut found);
+        let hearer = |link: Link| match self.scale {
+            Some(scale) if link.hearer.station != from => of_power(scale, link.hearer.station, link.path),
             _ => Some(link.hearer),
         };
         found.into_iter().filter_map(hearer).collect()
     }
 
-    /// Returns the stations that the station `from` reaches, by the grid, which is made if it is missing.
-    fn found(&self, radio: &Radio, positions: &[Option<Vec2>], from: u16, grid: &mut Option<Grid>) -> Vec<Link> {
-        let place = |station: u16| positions[usize::from(station)];
-        let link = |station: u16| {
-            let same = |hearer: Hearer| Link { hearer, path_dbm: 0.0, chance: 1.0 };
-            if station == from {
-                return Some(same(Hearer { station, power: 0.0, sensed: true }));
-            }
-            let ends = place(from).zip(place(station));
-            match &radio.powers {
-                None => disc(radio, station, ends).map(same),
-                Some(powers) => {
-                    let path_dbm = ends.map_or(powers.of_path(0.0, 0), |(from, to)| {
-                        powers.of_path(f64::from((to - from).norm()), self.crossed(powers, from, to))
-                    });
-                    let hearer = if powers.varies() {
-                        Some(Hearer { station, power: 0.0, sensed: false })
-                            .filter(|_| path_dbm >= powers.least_path_dbm())
-                    } else {
-                        of_power(powers, station, path_dbm)
-                    };
-                    let chance = powers.chance(path_dbm);
-                    hearer.map(|hearer| Link { hearer, path_dbm, chance })
-                }
-            }
-        };
+    /// Appends the stations that the station `from` reaches to `found`, by the grid, which is made if it is missing.
+    fn find(
+        &self,
+        radio: &Radio,
+        positions: &[Option<Vec2>],
+        from: u16,
+        grid: &mut Option<Grid>,
+        found: &mut Vec<Link>,
+    ) {
         let all = 0..positions.len() as u16;
+        if positions.len() <= LINEAR_SEARCH_MAX {
+            return all.for_each(|station| self.add(radio, positions, (from, station), found));
+        }
         let reach_m = reach_m(radio);
-        let (Some(at), true) = (place(from), positions.len() > LINEAR_SEARCH_MAX && reach_m.is_finite()) else {
-            return all.filter_map(link).collect();
+        let Some(at) = positions[usize::from(from)].filter(|_| reach_m.is_finite()) else {
+            return all.for_each(|station| self.add(radio, positions, (from, station), found));
         };
         let grid = grid.get_or_insert_with(|| Grid::new(reach_m, positions));
         let mut near = Vec::new();
@@ -149,7 +144,34 @@ impl Links {
         let mut stations: Vec<u16> = near.into_iter().map(|index| grid.located[index]).collect();
         stations.extend_from_slice(&grid.unlocated);
         stations.sort_unstable();
-        stations.into_iter().filter_map(link).collect()
+        stations.into_iter().for_each(|station| self.add(radio, positions, (from, station), found));
+    }
+
+    /// Appends the link between two stations to `found`, if there is one.
+    fn add(&self, radio: &Radio, positions: &[Option<Vec2>], (from, station): (u16, u16), found: &mut Vec<Link>) {
+        if station == from {
+            let hearer = Hearer { station, power: 0.0, sensed: true };
+            return found.push(Link { hearer, path: 0.0, chance: 1.0 });
+        }
+        let ends = positions[usize::from(from)].zip(positions[usize::from(station)]);
+        let (Some(powers), Some(scale)) = (&radio.powers, self.scale) else {
+            let squared = ends.map_or(0.0, |(from, to)| (to - from).norm_squared());
+            let within = |limit: Option<f32>| limit.is_none_or(|limit| squared <= limit * limit);
+            if within(radio.sense_m) {
+                let power = if within(radio.range_m) { EQUAL_POWER } else { 0.0 };
+                found.push(Link { hearer: Hearer { station, power, sensed: true }, path: 0.0, chance: 1.0 });
+            }
+            return;
+        };
+        let path = ends.map_or(scale.of_path(0.0, 0), |(from, to)| {
+            scale.of_path(f64::from((to - from).norm_squared()), self.crossed(powers, from, to))
+        });
+        let hearer = if powers.varies() {
+            Some(Hearer { station, power: 0.0, sensed: false }).filter(|_| path >= scale.least_path)
+        } else {
+            of_power(scale, station, path)
+        };
+        found.extend(hearer.map(|hearer| Link { hearer, path, chance: scale.chance(path) }));
     }
 
     /// Returns how many walls a straight path crosses, if they weaken it.
@@ -182,22 +204,10 @@ fn reach_m(radio: &Radio) -> f32 {
     }
 }
 
-/// Returns the station `station` as a hearer between the ends of a path, by the distances up to which frames are read
-/// and sensed. Without ends, it reads all.
-fn disc(radio: &Radio, station: u16, ends: Option<(Vec2, Vec2)>) -> Option<Hearer> {
-    let within = |limit: Option<f32>| match (limit, ends) {
-        (Some(limit), Some((from, to))) => (to - from).norm_squared() <= limit * limit,
-        _ => true,
-    };
-    let sensed = within(radio.sense_m);
-    let read = sensed && within(radio.range_m);
-    sensed.then_some(Hearer { station, power: if read { EQUAL_POWER } else { 0.0 }, sensed })
-}
-
-/// Returns the station `station` as a hearer of a frame with this power, if it matters.
-fn of_power(powers: &Powers, station: u16, dbm: f64) -> Option<Hearer> {
-    let hearer = Hearer { station, power: milliwatts(dbm), sensed: dbm >= powers.sense_dbm };
-    Some(hearer).filter(|_| dbm >= powers.floor_dbm())
+/// Returns the station `station` as a hearer of a frame with this power \[mW\], if it matters.
+fn of_power(scale: Scale, station: u16, power: f64) -> Option<Hearer> {
+    let hearer = Hearer { station, power, sensed: scale.is_sensed(power) };
+    Some(hearer).filter(|_| scale.matters(power))
 }
 
 /// Returns whether two segments, each given by its ends, cross each other.
@@ -213,7 +223,7 @@ mod tests {
     use crate::random::Seed;
 
     fn reached(radio: &Radio, positions: &[Option<Vec2>], from: u16, walls: &[[[f32; 2]; 2]]) -> Vec<Hearer> {
-        let mut links = Links::new(positions.len());
+        let mut links = Links::new(radio, positions.len());
         links.wall_in(walls.iter().map(|ends| ends.to_vec()).collect());
         let mut all = Vec::new();
         links.hearers(radio, positions, from, &mut Seed::of_run(1).stream("fading"), &mut all);

@@ -94,29 +94,6 @@ impl Powers {
         self.tx_dbm - self.reference_db - over - self.wall_db * walls as f64
     }
 
-    /// Returns the probability that shadowing lifts a path of this power \[dBm\] to where a frame may matter.
-    pub(super) fn chance(&self, path_dbm: f64) -> f64 {
-        let lacks_db = self.floor_dbm() - self.most_fading_db() - path_dbm;
-        if self.shadowing_db > 0.0 { 0.5 * libm::erfc(lacks_db / self.shadowing_db * FRAC_1_SQRT_2) } else { 1.0 }
-    }
-
-    /// Returns the power of one frame \[dBm\], from that of its path and the path's `chance`: draws shadowing and
-    /// fading. `None` if it is so weak that it does not matter.
-    pub(super) fn of_frame(&self, path_dbm: f64, chance: f64, stream: &mut Stream) -> Option<f64> {
-        let mut power = path_dbm;
-        if self.shadowing_db > 0.0 {
-            let above: f64 = stream.random();
-            if above >= chance {
-                return None;
-            }
-            power += self.shadowing_db * random::normal_above(above);
-        }
-        if self.fading == Fading::Rayleigh {
-            power += 10.0 * libm::log10(random::exponential(stream).max(1e-12));
-        }
-        Some(power).filter(|power| *power >= self.floor_dbm())
-    }
-
     /// Returns whether each frame has a power of its own.
     pub(super) fn varies(&self) -> bool {
         self.shadowing_db > 0.0 || self.fading != Fading::None
@@ -144,6 +121,86 @@ impl Powers {
     }
 }
 
+/// Powers as ratios and in milliwatts, in which they are computed for each frame.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub(super) struct Scale {
+    /// Power at a distance of 1 m \[mW\].
+    base: f64,
+    /// Half of the exponent, for squared distances.
+    half_exponent: f64,
+    /// Ratio behind a wall.
+    wall: f64,
+    /// Standard deviation of the logarithm of the shadowing; 0 for none.
+    shadowing: f64,
+    fades: bool,
+    /// Least power that matters to a receiver \[mW\].
+    floor: f64,
+    /// Least power of a path whose frames may matter \[mW\].
+    pub least_path: f64,
+    /// Least power that is sensed \[mW\].
+    sense: f64,
+}
+
+impl Scale {
+    /// Returns the powers of a channel.
+    pub fn of(powers: &Powers) -> Scale {
+        Scale {
+            base: milliwatts(powers.tx_dbm - powers.reference_db),
+            half_exponent: 0.5 * powers.exponent,
+            wall: milliwatts(-powers.wall_db),
+            shadowing: powers.shadowing_db / 10.0 * LN_10,
+            fades: powers.fading == Fading::Rayleigh,
+            floor: milliwatts(powers.floor_dbm()),
+            least_path: milliwatts(powers.least_path_dbm()),
+            sense: milliwatts(powers.sense_dbm),
+        }
+    }
+
+    /// Returns the power \[mW\] over a path with the square of its length \[m^2\] behind a number of walls, without
+    /// shadowing and fading.
+    pub fn of_path(&self, squared_m2: f64, walls: usize) -> f64 {
+        let over = libm::pow(squared_m2.max(1.0), -self.half_exponent);
+        (0..walls).fold(self.base * over, |power, _| power * self.wall)
+    }
+
+    /// Returns the probability that shadowing lifts a path of this power \[mW\] to where a frame may matter.
+    pub fn chance(&self, path: f64) -> f64 {
+        if self.shadowing == 0.0 {
+            return 1.0;
+        }
+        let most_fading = if self.fades { milliwatts(MOST_FADING_DB) } else { 1.0 };
+        let lacks = libm::log(self.floor / (most_fading * path));
+        0.5 * libm::erfc(lacks / self.shadowing * FRAC_1_SQRT_2)
+    }
+
+    /// Returns the power of one frame \[mW\], from that of its path and the path's `chance`: draws shadowing and
+    /// fading. `None` if it is so weak that it does not matter.
+    pub fn of_frame(&self, path: f64, chance: f64, stream: &mut Stream) -> Option<f64> {
+        let mut power = path;
+        if self.shadowing > 0.0 {
+            let above: f64 = stream.random();
+            if above >= chance {
+                return None;
+            }
+            power *= libm::exp(self.shadowing * random::normal_above(above));
+        }
+        if self.fades {
+            power *= random::exponential(stream);
+        }
+        Some(power).filter(|power| *power >= self.floor)
+    }
+
+    /// Returns whether a frame of this power \[mW\] matters to a receiver.
+    pub fn matters(&self, power: f64) -> bool {
+        power >= self.floor
+    }
+
+    /// Returns whether a frame of this power \[mW\] is sensed.
+    pub fn is_sensed(&self, power: f64) -> bool {
+        power >= self.sense
+    }
+}
+
 /// Returns a power in milliwatts for one in dBm.
 pub(super) fn milliwatts(dbm: f64) -> f64 {
     libm::exp(dbm / 10.0 * LN_10)
@@ -165,6 +222,8 @@ mod tests {
         assert!((powers.of_path(1.0, 0) - (16.0 - 40.05)).abs() < 1e-9);
         assert!((powers.of_path(100.0, 0) - (16.0 - 40.05 - 60.0)).abs() < 1e-9);
         assert!((powers.of_path(100.0, 2) - (16.0 - 40.05 - 72.0)).abs() < 1e-9);
+        let scale = Scale::of(&powers);
+        assert!((decibels(scale.of_path(1e4, 2)) - powers.of_path(100.0, 2)).abs() < 1e-9);
         let reach = powers.reach_m();
         assert!((powers.of_path(reach, 0) - powers.floor_dbm()).abs() < 1e-6);
     }
@@ -173,7 +232,11 @@ mod tests {
     fn faded_powers_have_the_published_distribution() {
         let powers = Powers { fading: Fading::Rayleigh, ..Powers::default() };
         let mut stream = Seed::of_run(1).stream("fading");
-        let mut drawn = |powers: &Powers| powers.of_frame(-60.0, powers.chance(-60.0), &mut stream);
+        let path = milliwatts(-60.0);
+        let mut drawn = |powers: &Powers| {
+            let scale = Scale::of(powers);
+            scale.of_frame(path, scale.chance(path), &mut stream).map(decibels)
+        };
         let below = (0..20_000).filter(|_| drawn(&powers).is_none_or(|dbm| dbm < -70.0)).count();
         // Below a tenth of the mean: 1 - exp(-0.1).
         assert!((below as f64 / 20_000.0 - 0.0952).abs() < 0.008, "{below}");
@@ -187,12 +250,13 @@ mod tests {
         for fading in [Fading::None, Fading::Rayleigh] {
             let powers = Powers { shadowing_db: 4.0, fading, ..Powers::default() };
             let mut stream = Seed::of_run(1).stream("fading");
-            let mut matters = |path_dbm: f64, chance: f64| {
-                (0..40_000).filter(|_| powers.of_frame(path_dbm, chance, &mut stream).is_some()).count() as f64 / 4e4
+            let scale = Scale::of(&powers);
+            let mut matters = |path: f64, chance: f64| {
+                (0..40_000).filter(|_| scale.of_frame(path, chance, &mut stream).is_some()).count() as f64 / 4e4
             };
-            for path_dbm in [-90.0, -96.0, -100.0] {
-                let (all, some) = (matters(path_dbm, 1.0), matters(path_dbm, powers.chance(path_dbm)));
-                assert!((all - some).abs() < 0.01, "{path_dbm} dBm: {all} and {some}");
+            for path in [-90.0, -96.0, -100.0].map(milliwatts) {
+                let (all, some) = (matters(path, 1.0), matters(path, scale.chance(path)));
+                assert!((all - some).abs() < 0.01, "{path} mW: {all} and {some}");
             }
         }
     }

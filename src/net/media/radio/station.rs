@@ -153,6 +153,11 @@ impl<T: Clone> Station<T> {
         self.counter.filter(|_| !self.queue.is_empty())
     }
 
+    /// Returns whether a backoff is in progress.
+    pub fn counts_down(&self) -> bool {
+        self.counter.is_some()
+    }
+
     /// Returns the number of failed transmissions of the frame at the front of the queue.
     pub fn failures(&self) -> u32 {
         self.failures

@@ -10,6 +10,9 @@ use super::rate::Rate;
 use super::reading::ln_read;
 use crate::time::{Span, Time};
 
+/// Ratio of a frame's power to noise and others from which on every rate is read: 35 dB, at which one frame in 10^16 of
+/// the fastest one is not.
+const CLEAR_RATIO: f64 = 3162.0;
 /// Time from a frame's beginning within which a receiver finds its preamble (IEEE 802.11-2016, 17.3.10.6).
 const DETECTION: Span = Span::from_nanos(4_000);
 /// Time from a frame's beginning within which a receiver may turn to another one: its preamble.
@@ -100,8 +103,6 @@ pub(super) struct View {
     pub reserved: Time,
     /// Whether the last frame that was sensed could not be read though it was strong enough.
     pub unread: bool,
-    /// Number of the station's plan to transmit; an event with an older number is void.
-    pub plan: u32,
     /// Number of the transmission that the station itself sends.
     pub sending: Option<u32>,
     /// Frames with power at the station.
@@ -117,7 +118,6 @@ impl View {
             free_at,
             reserved: Time::ZERO,
             unread: false,
-            plan: 0,
             sending: None,
             arrivals: Vec::new(),
             reading: None,
@@ -146,7 +146,8 @@ impl View {
         let all = self.power();
         let others = |power: f64| receiver.noise + (all - power).max(0.0);
         if let Some(reading) = &mut self.reading {
-            reading.alone = false;
+            // Up to now nothing has disturbed it.
+            (reading.alone, reading.counted) = (false, now);
             let age = now.since(reading.began);
             let power = reading.arrival.power;
             if age < DETECTION {
@@ -180,13 +181,14 @@ impl View {
 
     /// Counts the bits of the frame that is read up to `now`, with the noise and the other frames of that time.
     fn count(&mut self, now: Time, receiver: &Receiver) {
-        let all = if self.reading.as_ref().is_some_and(|reading| !reading.alone) { self.power() } else { 0.0 };
+        let Some(reading) = self.reading.filter(|reading| !reading.alone || receiver.noise > 0.0) else { return };
+        let rest = if reading.alone { 0.0 } else { (self.power() - reading.arrival.power).max(0.0) };
+        let (power, others) = (reading.arrival.power, receiver.noise + rest);
         let Some(reading) = &mut self.reading else { return };
-        let others = receiver.noise + if reading.alone { 0.0 } else { (all - reading.arrival.power).max(0.0) };
-        let bits = reading.arrival.bits_per_s * now.since(reading.counted).as_secs();
-        reading.counted = now;
-        if others > 0.0 && bits > 0.0 {
-            reading.ln_read += ln_read(reading.arrival.rate, decibels(reading.arrival.power / others), bits);
+        let since = std::mem::replace(&mut reading.counted, now);
+        if power < CLEAR_RATIO * others && since < now {
+            let bits = reading.arrival.bits_per_s * now.since(since).as_secs();
+            reading.ln_read += ln_read(reading.arrival.rate, decibels(power / others), bits);
         }
     }
 }

@@ -124,7 +124,7 @@ impl<T: Clone> Field<T> {
         let view = &mut self.views[usize::from(hearer.station)];
         match view.leave(now, number, &self.receiver) {
             Some(read) => {
-                let share = libm::exp(read.ln_read);
+                let share = if read.ln_read == 0.0 { 1.0 } else { libm::exp(read.ln_read) };
                 if share > CERTAIN || self.reading.random::<f64>() < share {
                     Reception::Read
                 } else if read.alone {

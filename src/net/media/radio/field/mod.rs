@@ -5,6 +5,7 @@
 //! `domain`: with the same seed, each delivery is the same.
 
 mod ending;
+mod turns;
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -21,19 +22,18 @@ use super::{ACK_BYTES, Topology};
 use crate::messages::geometry::Vec2;
 use crate::random::{Seed, Stream, stored};
 use crate::time::Time;
+use turns::Turns;
 
 /// Probability of reading a frame from which on no random number is drawn for it.
 const CERTAIN: f64 = 1.0 - 1e-9;
 
-/// Event of a field, in the order in which those of one instant are handled.
+/// Event of a field beside the turns of its stations, in the order in which those of one instant are handled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 enum Event {
     /// A transmission ends; its number.
     End(u32),
     /// A station begins to acknowledge the frame it has read; its index.
     Acknowledge(u16),
-    /// The backoff of a station ends; its index, and the number of its plan.
-    Begin(u16, u32),
 }
 
 /// What a transmission carries.
@@ -96,9 +96,13 @@ pub(super) struct Field<T> {
     rates: Rates,
     /// View of each station, by its index.
     views: Vec<View>,
-    /// Positions of all stations, with the access point and the station of other networks; renewed as stations move.
+    /// Positions of all stations, with the access point and the station of other networks.
     #[serde(skip)]
-    places: Option<Vec<Option<Vec2>>>,
+    places: Vec<Option<Vec2>>,
+    /// Whether they are those of now.
+    #[serde(skip)]
+    placed: bool,
+    turns: Turns,
     airs: Vec<Option<Air>>,
     idle_airs: Vec<u32>,
     events: BinaryHeap<Reverse<(Time, Event)>>,
@@ -112,6 +116,9 @@ pub(super) struct Field<T> {
     receptions: Vec<Reception>,
     #[serde(skip)]
     spare: Vec<Vec<Hearer>>,
+    /// Transmissions that begin at one instant, with their lengths \[bytes\].
+    #[serde(skip)]
+    begun: Vec<(u32, usize)>,
     #[serde(with = "stored")]
     fading: Stream,
     #[serde(with = "stored")]
@@ -134,10 +141,12 @@ impl<T: Clone> Field<T> {
         let free_at = Time::ZERO + traffic.times.aifs;
         Field {
             receiver: Receiver::new(&traffic.radio),
-            links: Links::new(stations),
+            links: Links::new(&traffic.radio, stations),
             rates: Rates::new(&traffic.radio, seed),
             views: vec![View::new(free_at); stations],
-            places: None,
+            places: Vec::new(),
+            placed: false,
+            turns: Turns::new(stations),
             airs: Vec::new(),
             idle_airs: Vec::new(),
             events: BinaryHeap::new(),
@@ -147,6 +156,7 @@ impl<T: Clone> Field<T> {
             on_air: OnAir::default(),
             receptions: Vec::new(),
             spare: Vec::new(),
+            begun: Vec::new(),
             fading: seed.stream("fading"),
             reading: seed.stream("reading"),
         }
@@ -154,12 +164,13 @@ impl<T: Clone> Field<T> {
 
     /// Takes note that stations have moved.
     pub fn moved(&mut self) {
-        self.places = None;
+        self.placed = false;
     }
 
     /// Returns whom a transmission of a station reaches, itself left out, without shadowing and fading.
     pub fn reached(&self, traffic: &Traffic<T>, from: u16) -> Vec<Reached> {
-        let all = self.links.paths(&traffic.radio, &places(traffic), from);
+        let places: Vec<Option<Vec2>> = places(traffic).collect();
+        let all = self.links.paths(&traffic.radio, &places, from);
         let others = all.into_iter().filter(|hearer| hearer.station != from && hearer.station < traffic.members);
         let reached = |hearer: Hearer| Reached { station: hearer.station, reads: self.receiver.hears(hearer.power) };
         others.filter(|hearer| hearer.sensed || self.receiver.hears(hearer.power)).map(reached).collect()
@@ -172,7 +183,8 @@ impl<T: Clone> Field<T> {
 
     /// Returns the time of the next event.
     pub fn due(&self) -> Option<Time> {
-        self.events.peek().map(|Reverse((at, _))| *at)
+        let event = self.events.peek().map(|Reverse((at, _))| *at);
+        [event, self.turns.next()].into_iter().flatten().min()
     }
 
     /// Queues a frame at a station; if its queue was empty, schedules its transmission.
@@ -192,67 +204,48 @@ impl<T: Clone> Field<T> {
 
     /// Handles all events of the instant `now`: what ends, and then what begins.
     pub fn wake(&mut self, traffic: &mut Traffic<T>, now: Time, deliveries: &mut Vec<Delivery<T>>) {
-        while let Some(event) = self.next(now, |_| true) {
-            match event {
-                Event::End(air) => self.end(traffic, now, air, deliveries),
-                begins => self.begin(traffic, now, begins),
+        while let Some(&Reverse((at, Event::End(air)))) = self.events.peek() {
+            if at > now {
+                break;
             }
+            self.events.pop();
+            self.end(traffic, now, air, deliveries);
         }
-    }
-
-    /// Removes and returns the next event up to `now` that is wanted.
-    fn next(&mut self, now: Time, wanted: fn(&Event) -> bool) -> Option<Event> {
-        let &Reverse((at, event)) = self.events.peek()?;
-        if at > now || !wanted(&event) {
-            return None;
-        }
-        self.events.pop();
-        Some(event)
+        self.begin(traffic, now);
     }
 
     /// Schedules the transmission of a station's next frame, if the medium around it is idle.
     fn plan(&mut self, traffic: &Traffic<T>, station: usize) {
-        let view = &mut self.views[station];
-        view.plan = view.plan.wrapping_add(1);
-        if view.busy > 0 {
-            return;
-        }
-        if let Some(slot) = traffic.stations[station].slot() {
-            let at = view.free_at + traffic.times.slot * slot;
-            self.events.push(Reverse((at, Event::Begin(station as u16, view.plan))));
-        }
+        let view = &self.views[station];
+        let slot = traffic.stations[station].slot().filter(|_| view.busy == 0);
+        self.turns.set(station, slot.map(|slot| view.free_at + traffic.times.slot * slot));
     }
 
-    /// Begins the transmissions of all stations that are to begin at `now`, from the one of the event `first` on: none
-    /// of them can sense the others in time.
-    fn begin(&mut self, traffic: &mut Traffic<T>, now: Time, first: Event) {
-        let mut begun = Vec::new();
-        let mut event = Some(first);
-        while let Some(begins) = event {
-            match begins {
-                Event::End(_) => unreachable!("what begins has no end yet"),
-                Event::Acknowledge(station) => {
-                    let (to, rate) = self.owed[usize::from(station)].take().expect("a station that owes");
-                    let cargo = Cargo::Acknowledgement(to);
-                    begun.push((self.send(traffic, now, station, cargo, (rate, ACK_BYTES)), ACK_BYTES));
-                }
-                Event::Begin(station, plan) if self.views[usize::from(station)].plan == plan => {
-                    let by = usize::from(station);
-                    let slot = self.views[by].slots(now, traffic.times.slot).expect("a station that counts slots");
-                    let ready = traffic.stations[by].pass(slot, traffic.radio.counting);
-                    assert!(ready, "a plan is void once the station may not send");
-                    let frame = traffic.stations[by].queue.front().expect("a station that sends has a frame");
-                    let bytes = traffic.radio.overhead_bytes + frame.bytes;
-                    let rate = self.rate_of(traffic, now, by);
-                    begun.push((self.send(traffic, now, station, Cargo::Frame, (rate, bytes)), bytes));
-                }
-                Event::Begin(..) => {}
+    /// Begins all transmissions that are to begin at `now`: no sender can sense the others in time.
+    fn begin(&mut self, traffic: &mut Traffic<T>, now: Time) {
+        let mut begun = std::mem::take(&mut self.begun);
+        while let Some(&Reverse((at, Event::Acknowledge(station)))) = self.events.peek() {
+            if at > now {
+                break;
             }
-            event = self.next(now, |event| !matches!(event, Event::End(_)));
+            self.events.pop();
+            let (to, rate) = self.owed[usize::from(station)].take().expect("a station that owes");
+            let air = self.send(traffic, now, station, Cargo::Acknowledgement(to), (rate, ACK_BYTES));
+            begun.push((air, ACK_BYTES));
         }
-        for (air, bytes) in begun {
+        while let Some(by) = self.turns.take(now) {
+            let slot = self.views[by].slots(now, traffic.times.slot).expect("a station that counts slots");
+            let ready = traffic.stations[by].pass(slot, traffic.radio.counting);
+            assert!(ready, "a station that may not send has no turn");
+            let frame = traffic.stations[by].queue.front().expect("a station that sends has a frame");
+            let bytes = traffic.radio.overhead_bytes + frame.bytes;
+            let rate = self.rate_of(traffic, now, by);
+            begun.push((self.send(traffic, now, by as u16, Cargo::Frame, (rate, bytes)), bytes));
+        }
+        for (air, bytes) in begun.drain(..) {
             self.spread(traffic, now, air, bytes);
         }
+        self.begun = begun;
     }
 
     /// Returns the rate at which a station sends the frame at the front of its queue.
@@ -275,11 +268,13 @@ impl<T: Clone> Field<T> {
         });
         let mut hearers = self.spare.pop().unwrap_or_default();
         hearers.clear();
-        let places = self.places.get_or_insert_with(|| {
+        if !self.placed {
             self.links.moved();
-            places(traffic)
-        });
-        self.links.hearers(&traffic.radio, places, by, &mut self.fading, &mut hearers);
+            self.places.clear();
+            self.places.extend(places(traffic));
+            self.placed = true;
+        }
+        self.links.hearers(&traffic.radio, &self.places, by, &mut self.fading, &mut hearers);
         self.airs[number as usize] = Some(Air { by, since: now, cargo, rate, overlapped: false, hearers });
         self.events.push(Reverse((now + airtime + traffic.times.propagation, Event::End(number))));
         self.views[usize::from(by)].send(number);
@@ -304,9 +299,12 @@ impl<T: Clone> Field<T> {
                 continue;
             }
             if view.busy == 0 {
-                view.plan = view.plan.wrapping_add(1);
-                if let Some(slot) = view.slots(now, traffic.times.slot) {
-                    traffic.stations[at].pass(slot, traffic.radio.counting);
+                let station = &mut traffic.stations[at];
+                if station.counts_down() {
+                    self.turns.set(at, None);
+                    if let Some(slot) = view.slots(now, traffic.times.slot) {
+                        station.pass(slot, traffic.radio.counting);
+                    }
                 }
             }
             view.busy += 1;
@@ -352,11 +350,9 @@ fn receiver_of<T>(traffic: &Traffic<T>, frame: &QueuedFrame<T>) -> Option<u16> {
 }
 
 /// Returns the position of each station of the channel.
-fn places<T>(traffic: &Traffic<T>) -> Vec<Option<Vec2>> {
-    let mut all = traffic.positions.clone();
-    if traffic.radio.channel == Topology::Infrastructure {
-        all.push(traffic.radio.access_point_m.map(Vec2::from));
-    }
-    all.resize(traffic.stations.len(), None);
-    all
+fn places<T>(traffic: &Traffic<T>) -> impl Iterator<Item = Option<Vec2>> {
+    let relay =
+        (traffic.radio.channel == Topology::Infrastructure).then(|| traffic.radio.access_point_m.map(Vec2::from));
+    let all = traffic.positions.iter().copied().chain(relay);
+    all.chain(std::iter::repeat(None)).take(traffic.stations.len())
 }
