@@ -56,7 +56,9 @@ pub(super) fn wire_links(clock: &Clock, trial: &Trial, graph: &Graph, reception:
     let everyone: Vec<HostId> = (0..).map(HostId).take(trial.deployment.hosts.len()).collect();
     let first_robot = |host: &Host| host.agents.concat().into_iter().min();
     let robots_of: Rc<[Option<u16>]> = trial.deployment.hosts.iter().map(first_robot).collect();
+    let walls: Rc<[_]> = trial.scenario.arena().keep_outs.iter().map(|block| block.solid().rim()).collect();
     for (index, link) in trial.deployment.links.iter().enumerate() {
+        let walls = Rc::clone(&walls);
         let id = LinkId(u16::try_from(index).expect("links are counted in u16"));
         let routes = graph.routes.clone();
         let (impairment, faults) = (link.impairment(), trial.faults.of_link(&link.name));
@@ -64,12 +66,12 @@ pub(super) fn wire_links(clock: &Clock, trial: &Trial, graph: &Graph, reception:
         let (radio, range_m, robots_of) = (link.radio.clone(), link.range_m, Rc::clone(&robots_of));
         let everyone = shared.then(|| everyone.clone());
         let users_m = users_m(trial, link).filter(|_| !shared);
-        let walls: Vec<_> = trial.scenario.arena().keep_outs.iter().map(|block| block.solid().rim()).collect();
         let make = move |incarnation| {
             let stream = seed.stream(&format!("link/{name}/{incarnation}"));
             let emulator = LinkEmulator::new(impairment.clone(), faults.clone(), stream);
             let air = || seed.child(&format!("link/{name}/radio/{incarnation}"));
-            let radio_link = radio.clone().map(|radio| RadioLink::new(radio, &robots_of, &air()).walled(walls.clone()));
+            let radio_link =
+                radio.clone().map(|radio| RadioLink::new(radio, &robots_of, &air()).walled(walls.to_vec()));
             let reach = range_m.map(|range_m| Reach::new(range_m, &robots_of));
             let listens = |kind| everyone.clone().unwrap_or_else(|| routes.listeners(kind));
             let users = users_m.map(|users_m| Reach::new(users_m, &robots_of));

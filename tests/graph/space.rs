@@ -54,7 +54,8 @@ fn mixed(radio: &Radio, seed: u64, mean_s: f64) -> Told {
 
 #[test]
 fn where_all_hear_all_a_channel_with_space_is_the_one_without() {
-    let presets = ["wifi", "wifi-n", "wifi-slow", "wifi-ibss", "paper"].map(|name| Radio::preset(name).unwrap());
+    let presets =
+        ["wifi", "wifi-n", "wifi-slow", "wifi-ibss", "paper"].map(|name| Radio::preset(name).expect("a preset"));
     let mut radios: Vec<Radio> = presets.to_vec();
     radios.extend(presets.map(|preset| Radio { channel: Topology::AdHoc, ..preset }));
     radios.push(Radio { after_error: Recovery::Difs, noise_loss: 0.3, ..ad_hoc() });
@@ -141,7 +142,7 @@ fn an_access_point_in_a_place_hears_stations_that_are_hidden_from_each_other() {
 #[test]
 fn a_lost_acknowledgement_repeats_the_frame_and_delivers_it_once() {
     // What reaches the receiver at 6 Mbit/s is too weak for an acknowledgement at 54 on its way back.
-    let rate = |name: &str| name.parse().unwrap();
+    let rate = |name: &str| name.parse().expect("a rate");
     let powers = Powers { detect_db: 0.0, detect_dbm: -100.0, sense_dbm: -100.0, ..Powers::default() };
     let radio = Radio { rate: rate("ofdm-6"), ack_rate: rate("ofdm-54"), powers: Some(powers), ..ad_hoc() };
     let mut channel: Channel<u32> = Channel::new(radio, 2, &Seed::of_run(1));
@@ -226,8 +227,8 @@ fn a_channel_with_space_continues_from_where_it_was_stored() {
         arrived
     };
     run(&mut channel, 0..500);
-    let stored = rmp_serde::to_vec_named(&channel).unwrap();
-    let mut again: Channel<u32> = rmp_serde::from_slice(&stored).unwrap();
+    let stored = rmp_serde::to_vec_named(&channel).expect("a channel is stored");
+    let mut again: Channel<u32> = rmp_serde::from_slice(&stored).expect("what was stored");
     let (first, second) = (run(&mut channel, 500..1500), run(&mut again, 500..1500));
     assert!(first.len() > 300, "{}", first.len());
     assert_eq!(first, second);

@@ -94,6 +94,16 @@ fn figures<'a>(ours: &Measured, row: &Row, names: [&'a str; 3]) -> Vec<(&'a str,
     ]
 }
 
+/// Returns the flows of stations that all multicast.
+fn all(stations: usize) -> Vec<(u16, Option<u16>)> {
+    (0..stations as u16).map(|station| (station, None)).collect()
+}
+
+/// Returns the flows of stations each of which sends to the next one.
+fn round(stations: u16) -> Vec<(u16, Option<u16>)> {
+    (0..stations).map(|from| (from, Some((from + 1) % stations))).collect()
+}
+
 #[test]
 fn hidden_stations() {
     let mut verdict = Verdict::new();
@@ -107,7 +117,7 @@ fn hidden_stations() {
             };
             row.text("flows").split(' ').map(pair).collect()
         } else {
-            (0..places.len() as u16).map(|station| (station, None)).collect()
+            all(places.len())
         };
         let case = Case {
             radio: Radio {
@@ -162,7 +172,7 @@ fn fields() {
                     after_error: Recovery::Difs,
                     ..Radio::default()
                 },
-                flows: (0..places.len() as u16).map(|station| (station, None)).collect(),
+                flows: all(places.len()),
                 places: places.clone(),
                 load_per_s: row.number("load_hz"),
                 bytes: 200,
@@ -317,11 +327,7 @@ fn rate_adaptation() {
         let case = Case {
             radio,
             places: if near { vec![[0.0, 0.0]; usize::from(stations)] } else { vec![[0.0, 0.0], [distance, 0.0]] },
-            flows: if near {
-                (0..stations).map(|from| (from, Some((from + 1) % stations))).collect()
-            } else {
-                vec![(0, Some(1))]
-            },
+            flows: if near { round(stations) } else { vec![(0, Some(1))] },
             load_per_s: row.number("load_per_station_s"),
             bytes: 200,
             warm_s: 2.0,
@@ -368,7 +374,7 @@ fn one_hop() {
                 ..Radio::default()
             },
             places: vec![[0.0, 0.0]; usize::from(stations)],
-            flows: (0..stations).map(|from| (from, unicast.then_some((from + 1) % stations))).collect(),
+            flows: if unicast { round(stations) } else { all(usize::from(stations)) },
             load_per_s: row.number("load_per_station_s"),
             bytes: 200,
             warm_s: 1.0,

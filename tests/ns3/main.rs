@@ -3,4 +3,6 @@
 
 mod cases;
 mod run;
+#[path = "../skip/mod.rs"]
+mod skip;
 mod table;

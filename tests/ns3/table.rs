@@ -3,6 +3,8 @@
 use std::collections::HashMap;
 use std::path::PathBuf;
 
+use crate::skip::skip;
+
 /// Row of a table, by the names of its columns.
 pub struct Row(HashMap<String, String>);
 
@@ -26,7 +28,7 @@ pub fn folder() -> Option<PathBuf> {
 /// Returns the rows of a table; none if it is not here, which is said.
 pub fn rows(name: &str) -> Vec<Row> {
     let Some(folder) = folder() else {
-        eprintln!("skipped: there is no {name} at ../shared/radio/data or MURMURATE_RADIO_DATA");
+        skip("ns3", &format!("there is no {name} at ../shared/radio/data or MURMURATE_RADIO_DATA"));
         return Vec::new();
     };
     let text = std::fs::read_to_string(folder.join(name)).expect("a table of the folder");

@@ -97,7 +97,11 @@ fn colour(at: usize) -> RGBColor {
 
 /// Returns the pieces of a dashed line between two points.
 fn dashes(from: (f64, f64), to: (f64, f64), pieces: usize) -> impl Iterator<Item = Vec<(f64, f64)>> {
-    let at = move |t: f64| (from.0 + (to.0 - from.0) * t, from.1 + (to.1 - from.1) * t);
+    dashes_along(move |t| (from.0 + (to.0 - from.0) * t, from.1 + (to.1 - from.1) * t), pieces)
+}
+
+/// Returns the pieces of a dashed line along a curve, whose points `at` gives for 0 to 1.
+fn dashes_along(at: impl Fn(f64) -> (f64, f64), pieces: usize) -> impl Iterator<Item = Vec<(f64, f64)>> {
     let step = 1.0 / pieces as f64;
     (0..pieces).map(move |piece| vec![at(step * piece as f64), at(step * (piece as f64 + 0.55))])
 }

@@ -3,7 +3,7 @@
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
-use super::{Drawn, FigureError, GREY, TEXT, WIDTH, colour, dashes, style, svg};
+use super::{Drawn, FigureError, GREY, TEXT, WIDTH, colour, dashes, dashes_along, style, svg};
 
 /// Space above the map, beside it, and below it \[pixels\].
 const ABOVE: u32 = 90;
@@ -79,8 +79,7 @@ fn bent(from: (f64, f64), to: (f64, f64)) -> impl Iterator<Item = Vec<(f64, f64)
         let bulge = BEND * 4.0 * t * (1.0 - t);
         (from.0 + x * t - y * bulge, from.1 + y * t + x * bulge)
     };
-    let step = 1.0 / DASHES as f64;
-    (0..DASHES).map(move |piece| vec![at(step * piece as f64), at(step * (piece as f64 + 0.55))])
+    dashes_along(at, DASHES)
 }
 
 fn legend(area: &super::Area) -> Drawn {
@@ -103,7 +102,7 @@ mod tests {
     #[test]
     fn a_line_of_stations_is_drawn_with_its_pairs() {
         let pairs = Pairs { read: vec![(0, 1), (1, 2)], sensed: vec![(0, 2)] };
-        let svg = reach("Three", &[[0.0, 0.0], [25.0, 0.0], [50.0, 0.0]], &pairs).unwrap();
+        let svg = reach("Three", &[[0.0, 0.0], [25.0, 0.0], [50.0, 0.0]], &pairs).expect("a figure");
         assert!(svg.matches("<circle").count() == 3 && svg.contains("hear each other"), "{svg}");
         assert!(reach("One", &[[1.0, 1.0]], &Pairs::default()).is_ok());
     }

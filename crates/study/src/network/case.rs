@@ -203,8 +203,7 @@ impl Sweep {
         self.medium.check()?;
         if let Some(places) = &self.places {
             places.check(self.stations)?;
-            let matter = matches!(&self.medium, Medium::Radio(radio) if radio.needs_positions());
-            if !matter {
+            if !self.medium.needs_places() {
                 return wrong(
                     "places",
                     "nothing depends on them; give a medium with range_m, sense_m or powers".to_owned(),

@@ -22,8 +22,7 @@ pub fn apply(medium: &Medium, places: &[[f32; 2]], conditions: &mut Conditions) 
         Medium::Radio(radio) if radio.channel == Topology::AdHoc => NetworkKind::AdHoc,
         Medium::Radio(_) => NetworkKind::Infrastructure,
     };
-    let matter = places.len() == usize::from(stations)
-        && matches!(medium, Medium::Radio(radio) if radio.on(radio.channel).needs_positions());
+    let matter = medium.needs_places() && places.len() == usize::from(stations);
     let places = matter.then(|| Places::Given(places.to_vec()));
     let sweep = Sweep { stations, places, ..Sweep::whole(medium.clone()) };
     let (addressing, reliability) = (Addressing::Multicast, ReliabilityMode::BestEffort);

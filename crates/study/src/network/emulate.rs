@@ -109,8 +109,10 @@ impl<E: StationProtocol> Emulation<E> {
         let mut tally = Tally::new(n, window);
         if let Some(places) = &sweep.places {
             medium.place(&places.of(n));
-            let reads: Vec<Vec<u16>> = (0..n).map(|from| medium.readers(from)).collect();
-            tally.count_only(|station, from| reads[usize::from(from)].contains(&station));
+            let reached: Vec<_> = (0..n).map(|from| medium.reached(from)).collect();
+            tally.count_only(|station, from| {
+                reached[usize::from(from)].iter().any(|to| to.reads && to.station == station)
+            });
         }
         Emulation {
             addressing: case.addressing,

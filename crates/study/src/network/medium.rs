@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::shaped::{Links, Shaped};
 use murmurate::config::{self, ConfigError};
 use murmurate::messages::geometry::Vec2;
+use murmurate::net::media::radio::channel::Reached;
 use murmurate::net::media::radio::{self, Channel, Delivery, Destination, Radio};
 use murmurate::random::Seed;
 use murmurate::time::Time;
@@ -48,6 +49,11 @@ impl Medium {
         Ok(Medium::Shaped(shaped))
     }
 
+    /// Returns whether the medium carries messages by the places of stations.
+    pub fn needs_places(&self) -> bool {
+        matches!(self, Medium::Radio(radio) if radio.needs_positions())
+    }
+
     /// Checks the ranges of the medium's parameters. An error names the field.
     pub fn check(&self) -> Result<(), ConfigError> {
         match self {
@@ -82,12 +88,11 @@ impl<T: Clone> MediumEmulator<T> {
         }
     }
 
-    /// Returns the stations that can read the frames of the station `from`, by their places.
-    pub fn readers(&self, from: u16) -> Vec<u16> {
+    /// Returns whom a transmission of the station `from` reaches on a radio channel, by the places; none on shaped
+    /// links.
+    pub fn reached(&self, from: u16) -> Vec<Reached> {
         match self {
-            MediumEmulator::Radio(channel) => {
-                channel.reached(from).iter().filter(|to| to.reads).map(|to| to.station).collect()
-            }
+            MediumEmulator::Radio(channel) => channel.reached(from),
             MediumEmulator::Shaped(_) => Vec::new(),
         }
     }

@@ -2,12 +2,11 @@
 
 use super::case::{Addressing, Case, NetworkKind, ReliabilityMode, Source, Sweep};
 use super::growth::Growth;
-use super::medium::Medium;
+use super::medium::{Medium, MediumEmulator};
 use super::outcome::{Outcome, Row};
 use super::table::{self, SHOWN};
 use super::{saturation, scale};
-use murmurate::messages::geometry::Vec2;
-use murmurate::net::media::radio::{Channel, Topology};
+use murmurate::net::media::radio::Topology;
 use murmurate::random::Seed;
 use murmurate::results::listening::Listening;
 use murmurate_report::figures::page::{self, Part};
@@ -130,11 +129,12 @@ impl Findings<'_> {
     fn reach(&self) -> Result<Option<Figure>, FigureError> {
         let (Medium::Radio(radio), Some(places)) = (&self.sweep.medium, &self.sweep.places) else { return Ok(None) };
         let places = places.of(self.sweep.stations);
-        let mut channel: Channel<()> = Channel::new(radio.on(Topology::AdHoc), self.sweep.stations, &Seed::of_run(0));
-        (0..).zip(&places).for_each(|(station, place)| channel.place(station, Vec2::from(*place)));
+        let medium = Medium::Radio(radio.on(Topology::AdHoc));
+        let mut emulator: MediumEmulator<()> = MediumEmulator::new(medium, self.sweep.stations, &Seed::of_run(0));
+        emulator.place(&places);
         let mut pairs = Pairs::default();
         for from in 0..self.sweep.stations {
-            for to in channel.reached(from).into_iter().filter(|to| to.station > from) {
+            for to in emulator.reached(from).into_iter().filter(|to| to.station > from) {
                 let pair = (usize::from(from), usize::from(to.station));
                 if to.reads { pairs.read.push(pair) } else { pairs.sensed.push(pair) }
             }

@@ -95,17 +95,18 @@ mod tests {
 
     #[test]
     fn places_are_read_and_counted() {
-        assert_eq!("line:25".parse::<Places>().unwrap().of(3), [[0.0, 0.0], [25.0, 0.0], [50.0, 0.0]]);
-        assert_eq!("grid:2".parse::<Places>().unwrap().of(5)[4], [2.0, 2.0]);
-        let ring = "ring:10".parse::<Places>().unwrap().of(4);
+        let read = |text: &str| text.parse::<Places>().expect("places");
+        assert_eq!(read("line:25").of(3), [[0.0, 0.0], [25.0, 0.0], [50.0, 0.0]]);
+        assert_eq!(read("grid:2").of(5)[4], [2.0, 2.0]);
+        let ring = read("ring:10").of(4);
         assert!((ring[1][1] - 10.0).abs() < 1e-5 && ring[1][0].abs() < 1e-5, "{ring:?}");
-        let given = Places::from_text("0 1\n\n2.5 -3\n").unwrap();
+        let given = Places::from_text("0 1\n\n2.5 -3\n").expect("places");
         assert_eq!(given.of(2), [[0.0, 1.0], [2.5, -3.0]]);
         assert!(given.check(3).unwrap_err().to_string().contains("there are 2 for 3 stations"));
         assert!(Places::from_text("0 1\n0").unwrap_err().to_string().contains("line 2"));
         for wrong in ["line", "line:x", "star:3"] {
             assert!(wrong.parse::<Places>().is_err(), "{wrong}");
         }
-        assert!("line:-1".parse::<Places>().unwrap().check(3).is_err());
+        assert!(read("line:-1").check(3).is_err());
     }
 }

@@ -194,7 +194,7 @@ mod tests {
     #[test]
     fn a_path_loss_is_found_with_its_interval() {
         let crossings = sent(|distance_m| 0.95 * (-(distance_m / 25.0_f64).powf(3.2)).exp());
-        let found = fit(&crossings, 0..20, &mut Seed::of_run(1).stream("path")).unwrap();
+        let found = fit(&crossings, 0..20, &mut Seed::of_run(1).stream("path")).expect("a path loss");
         let holds = |estimate: Estimate, value: f64| (estimate.ci95[0]..=estimate.ci95[1]).contains(&value);
         assert!(holds(found.exponent, 3.2) && holds(found.reach_m, 25.0) && holds(found.loss, 0.05), "{found:?}");
         assert!(found.exponent.ci95[1] - found.exponent.ci95[0] < 0.5, "{found:?}");

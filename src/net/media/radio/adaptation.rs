@@ -6,11 +6,12 @@
 
 use std::collections::BTreeMap;
 
+use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
 
 use super::rate::Rate;
 use super::{ACK_BYTES, Adaptation, Radio};
-use crate::random::{RngExt, Seed, Stream, stored};
+use crate::random::{Seed, Stream, stored};
 use crate::time::{Span, Time};
 
 /// Time between updates of the averages.
@@ -36,7 +37,7 @@ const SKIPPED: u32 = 10;
 /// Rates of unicast frames, as each station has learnt them for each receiver.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Rates {
-    /// Rates to choose from, slowest first; none if all frames go at the same rate.
+    /// Rates to choose from, in the order of [`Rate::choices`]; none if all frames go at the same rate.
     choices: Vec<Rate>,
     /// By sender and receiver.
     tables: BTreeMap<(u16, u16), Table>,
@@ -44,7 +45,7 @@ pub(super) struct Rates {
     stream: Stream,
 }
 
-/// What a station knows of one rate to one receiver.
+/// Success of one rate to one receiver, as its station has seen it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Known {
     /// Time of a frame of the reference length with its acknowledgement \[s\].
@@ -61,7 +62,7 @@ struct Known {
     tries_now: u32,
 }
 
-/// What a station knows of the rates to one receiver.
+/// Rates to one receiver, and the frames that its station has sent there.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Table {
     rates: Vec<Known>,
@@ -118,9 +119,7 @@ impl Table {
     fn new(radio: &Radio, choices: &[Rate], now: Time, stream: &mut Stream) -> Table {
         let rates: Vec<Known> = choices.iter().map(|rate| Known::new(radio, *rate)).collect();
         let mut order: Vec<usize> = (0..rates.len()).collect();
-        for last in (1..order.len()).rev() {
-            order.swap(last, stream.random_range(0..=last));
-        }
+        order.shuffle(stream);
         // Nothing is known yet: the slowest rate is the surest.
         Table {
             rates,
@@ -173,9 +172,7 @@ impl Table {
         self.place += 1;
         if self.place == self.order.len() {
             self.place = 0;
-            for last in (1..self.order.len()).rev() {
-                self.order.swap(last, stream.random_range(0..=last));
-            }
+            self.order.shuffle(stream);
         }
         let (slower, known) = (self.rates[at].took_s > self.rates[self.best].took_s, &mut self.rates[at]);
         if at == self.best || known.samples_left == 0 {
@@ -206,16 +203,15 @@ impl Table {
 
     fn update(&mut self) {
         self.rates.iter_mut().for_each(Known::update);
-        let by = |value: &dyn Fn(&Known) -> f64, but: Option<usize>| {
-            let all = (0..self.rates.len()).filter(|at| Some(*at) != but);
-            // Of equal ones the slowest.
-            all.fold(0, |best, at| if value(&self.rates[at]) > value(&self.rates[best]) { at } else { best })
+        // Of equal ones the first.
+        let most = |value: fn(&Known) -> f64, but: Option<usize>| {
+            let all = (0..self.rates.len()).filter(|at| Some(*at) != but && value(&self.rates[*at]) > 0.0);
+            all.reduce(|best, at| if value(&self.rates[at]) > value(&self.rates[best]) { at } else { best })
         };
-        let best = by(&Known::carries, None);
-        let second =
-            by(&|known| if std::ptr::eq(known, &self.rates[best]) { 0.0 } else { known.carries() }, Some(best));
-        let sure = by(&|known| if known.is_sure() { known.carries() } else { 0.0 }, None);
-        let surest = if self.rates[sure].is_sure() { sure } else { by(&|known| known.share.unwrap_or(0.0), None) };
+        let best = most(Known::carries, None).unwrap_or(0);
+        let second = most(Known::carries, Some(best)).unwrap_or(0);
+        let sure = |known: &Known| if known.is_sure() { known.carries() } else { 0.0 };
+        let surest = most(sure, None).or_else(|| most(|known| known.share.unwrap_or(0.0), None)).unwrap_or(0);
         (self.best, self.second, self.surest) = (best, second, surest);
     }
 }
@@ -281,8 +277,8 @@ mod tests {
 
     /// Sends frames for some seconds, of which those succeed whose rate is at most `most`, and returns how many of the
     /// last thousand transmissions went at each rate.
-    fn sent(radio: &Radio, most: &str) -> BTreeMap<&'static str, u32> {
-        let most: Rate = most.parse().unwrap();
+    fn sent(radio: &Radio, most: &'static str) -> BTreeMap<&'static str, u32> {
+        let most = Rate::named(most);
         let mut rates = Rates::new(radio, &Seed::of_run(1));
         let choices = rates.choices.clone();
         let place = |rate: Rate| choices.iter().position(|choice| *choice == rate);
@@ -311,15 +307,15 @@ mod tests {
             let counts = sent(&radio(), most);
             assert!(counts[best] > 800, "{most}: {counts:?}");
         }
-        let narrow = Radio { rate: "ofdm-12".parse().unwrap(), ..radio() };
+        let narrow = Radio { rate: Rate::named("ofdm-12"), ..radio() };
         let counts = sent(&narrow, "ofdm-12");
         assert!(!counts.contains_key("ofdm-18") && counts["ofdm-12"] > 800, "{counts:?}");
     }
 
     #[test]
     fn acknowledgements_go_at_mandatory_rates() {
-        let most: Rate = "ofdm-24".parse().unwrap();
-        let of = |name: &str| name.parse::<Rate>().unwrap().answer(most).name();
+        let most = Rate::named("ofdm-24");
+        let of = |name| Rate::named(name).answer(most).name();
         for (rate, answer) in [
             ("ofdm-54", "ofdm-24"),
             ("ofdm-18", "ofdm-12"),

@@ -12,11 +12,11 @@ impl Default for Radio {
     fn default() -> Radio {
         Radio {
             channel: Topology::Infrastructure,
-            rate: rate("ofdm-54"),
+            rate: Rate::named("ofdm-54"),
             // The default of access points, which any station can decode.
-            basic_rate: rate("dsss-1"),
+            basic_rate: Rate::named("dsss-1"),
             // The highest mandatory rate not above that of the data (10.7.6.5.2).
-            ack_rate: rate("ofdm-24"),
+            ack_rate: Rate::named("ofdm-24"),
             width_mhz: Width::Full,
             band: Band::Low,
             // Table 18-5: short slot, SIFS, contention windows of ERP.
@@ -46,10 +46,6 @@ impl Default for Radio {
     }
 }
 
-fn rate(name: &str) -> Rate {
-    name.parse().expect("a rate of the table")
-}
-
 impl Radio {
     /// Returns the predefined channel named `name`, with an access point; `None` if no preset has that name. The names
     /// are in `PRESETS`.
@@ -58,8 +54,8 @@ impl Radio {
             "wifi" => Radio::default(),
             // Table 19-25 with Table 17-21: HT at 5 GHz.
             "wifi-n" => Radio {
-                rate: rate("ht-mcs7"),
-                basic_rate: rate("ofdm-6"),
+                rate: Rate::named("ht-mcs7"),
+                basic_rate: Rate::named("ofdm-6"),
                 band: Band::High,
                 slot_us: 9,
                 sifs_us: 16,
@@ -67,8 +63,8 @@ impl Radio {
             },
             // Table 16-4 (HR/DSSS), without EDCA and its QoS control: all frames at the rate of longest range.
             "wifi-slow" => Radio {
-                rate: rate("dsss-1"),
-                ack_rate: rate("dsss-1"),
+                rate: Rate::named("dsss-1"),
+                ack_rate: Rate::named("dsss-1"),
                 slot_us: 20,
                 aifsn: 2,
                 cw_min: 31,
@@ -83,7 +79,7 @@ impl Radio {
             // within 20 ms by reliable unicast with 7 retries; at 60 messages/s, 84 % arrived by best-effort multicast.
             // The first one was fitted with an emulation of RTPS that sent less than Fast DDS does, which needs less
             // background for it (`docs/evidence/network-fit.md` has both media).
-            "paper" => Radio { rate: rate("ofdm-18"), noise_loss: 0.085, background: 0.6, ..Radio::default() },
+            "paper" => Radio { rate: Rate::named("ofdm-18"), noise_loss: 0.085, background: 0.6, ..Radio::default() },
             _ => return None,
         })
     }
@@ -93,7 +89,7 @@ impl Radio {
     /// window is 32 slots, doubled up to `stages` times, and retries are unlimited. The payload in the table, 1023
     /// bytes, is not part of the result.
     pub fn bianchi(stages: u32) -> Radio {
-        let fhss = rate("fhss-1");
+        let fhss = Rate::named("fhss-1");
         Radio {
             channel: Topology::AdHoc,
             rate: fhss,

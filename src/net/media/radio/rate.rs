@@ -116,8 +116,7 @@ pub enum Band {
 impl Band {
     /// Returns the lowest rate that all stations of the band must know (IEEE 802.11-2016, 16.1.1, 17.1.1).
     pub(super) fn lowest_mandatory(self) -> Rate {
-        let name = if self == Band::Low { "dsss-1" } else { "ofdm-6" };
-        name.parse().expect("a rate of the table")
+        Rate::named(if self == Band::Low { "dsss-1" } else { "ofdm-6" })
     }
 }
 
@@ -133,6 +132,11 @@ pub fn all() -> impl Iterator<Item = Rate> {
 }
 
 impl Rate {
+    /// Returns the rate with a name that the code knows.
+    pub(super) fn named(name: &'static str) -> Rate {
+        name.parse().expect("a rate of the table")
+    }
+
     /// Returns the name of the rate, as in files.
     pub(super) fn name(self) -> &'static str {
         self.coding().name
@@ -164,7 +168,8 @@ impl Rate {
         found.unwrap_or(most)
     }
 
-    /// Returns the rates among which a station chooses that may send up to this rate, slowest first.
+    /// Returns the rates among which a station chooses that may send up to this rate, in the order of the table: DSSS
+    /// first, and the slowest of a family first.
     pub(super) fn choices(self, band: Band, width: Width) -> impl Iterator<Item = Rate> {
         let family = self.coding().family;
         all().filter(move |rate| {

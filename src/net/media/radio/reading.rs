@@ -48,8 +48,8 @@ pub(super) fn ln_read(rate: Rate, snr_db: f64, bits: f64) -> f64 {
 mod tests {
     use super::*;
 
-    fn read(rate: &str, snr_db: f64, bytes: f64) -> f64 {
-        libm::exp(ln_read(rate.parse().unwrap(), snr_db, 8.0 * bytes))
+    fn read(rate: &'static str, snr_db: f64, bytes: f64) -> f64 {
+        libm::exp(ln_read(Rate::named(rate), snr_db, 8.0 * bytes))
     }
 
     #[test]
@@ -66,7 +66,7 @@ mod tests {
     fn shorter_frames_are_read_more_often_and_faster_ones_less() {
         assert!(read("ofdm-6", 0.0, 100.0) > read("ofdm-6", 0.0, 1500.0));
         let rates = ["ofdm-6", "ofdm-9", "ofdm-12", "ofdm-18", "ofdm-24", "ofdm-36", "ofdm-48", "ofdm-54", "ht-mcs7"];
-        let all: Vec<f64> = rates.iter().map(|rate| ln_read(rate.parse().unwrap(), 5.0, 2080.0)).collect();
+        let all: Vec<f64> = rates.iter().map(|rate| ln_read(Rate::named(rate), 5.0, 2080.0)).collect();
         assert!(all.windows(2).all(|pair| pair[0] > pair[1]), "{all:?}");
     }
 }

@@ -59,7 +59,7 @@ pub(super) enum Hop {
     Down,
     /// Within another network, which only occupies the medium; the frame has no receiver on this channel.
     Foreign,
-    /// From a station or the access point to nobody in particular: a beacon.
+    /// From a station or the access point to all, with no payload of a caller: a beacon.
     Beacon,
 }
 

@@ -99,7 +99,7 @@ mod positions {
     }
 }
 
-/// What a medium tells of the end of a transmission, to count it.
+/// Transmission that has ended on a medium, to be counted.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sent {
     /// Index of the station that has transmitted.

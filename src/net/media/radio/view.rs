@@ -22,7 +22,7 @@ const CAPTURE_DB: f64 = 5.0;
 /// Ratio of the powers at which a preamble is found on a channel without powers \[dB\], as ns-3 3.44 has it.
 const DETECT_DB: f64 = 4.0;
 
-/// What receivers of a channel make of powers.
+/// Thresholds of the receivers of a channel.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct Receiver {
     /// Power of the noise \[mW\].
@@ -204,7 +204,7 @@ mod tests {
         let powers = Some(Powers::default());
         let radio = Radio { channel: Topology::AdHoc, powers, capture, ..Radio::default() };
         let receiver = Receiver::new(&radio);
-        let rate: Rate = "ofdm-6".parse().unwrap();
+        let rate = Rate::named("ofdm-6");
         let took = rate.airtime(260, radio.width_mhz, radio.band);
         let arrival =
             |air: u32, dbm: f64| Arrival { air, power: milliwatts(dbm), rate, bits_per_s: 2080.0 / took.as_secs() };

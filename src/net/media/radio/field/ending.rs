@@ -38,7 +38,7 @@ impl<T: Clone> Field<T> {
             }
             Cargo::Frame => self.end_frame(traffic, now, &air, deliveries),
         };
-        self.on_air.end(if let Answer::Until(until) = answer { until } else { now }, traffic);
+        self.occupied.end(if let Answer::Until(until) = answer { until } else { now }, traffic);
         self.let_know(traffic, now, &air, answer);
         if let Some(relayed) = relayed {
             self.push(traffic, now, usize::from(traffic.members), relayed);

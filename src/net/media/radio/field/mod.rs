@@ -36,7 +36,7 @@ enum Event {
     Acknowledge(u16),
 }
 
-/// What a transmission carries.
+/// Content of a transmission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 enum Cargo {
     /// The frame at the front of the sender's queue.
@@ -78,8 +78,8 @@ struct Awaited<T> {
     drawn: u32,
 }
 
-/// What came of a station's own transmission that has ended, while the medium around it is still busy. The frame is
-/// still in its queue.
+/// Outcome of a station's own transmission that has ended, while the medium around it is still busy. The frame is still
+/// in its queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 enum Outcome {
     /// The frame is done.
@@ -110,7 +110,7 @@ pub(super) struct Field<T> {
     owed: Vec<Option<(u16, Rate)>>,
     awaited: Vec<Option<Awaited<T>>>,
     outcomes: Vec<Option<Outcome>>,
-    on_air: OnAir,
+    occupied: Occupied,
     /// Reception at each station of the transmission that ends.
     #[serde(skip)]
     receptions: Vec<Reception>,
@@ -127,7 +127,7 @@ pub(super) struct Field<T> {
 
 /// Time with anything on the air anywhere, to count it.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
-struct OnAir {
+struct Occupied {
     number: u32,
     own: bool,
     since: Time,
@@ -153,7 +153,7 @@ impl<T: Clone> Field<T> {
             owed: vec![None; stations],
             awaited: vec![None; stations],
             outcomes: vec![None; stations],
-            on_air: OnAir::default(),
+            occupied: Occupied::default(),
             receptions: Vec::new(),
             spare: Vec::new(),
             begun: Vec::new(),
@@ -279,7 +279,7 @@ impl<T: Clone> Field<T> {
         self.events.push(Reverse((now + airtime + traffic.times.propagation, Event::End(number))));
         self.views[usize::from(by)].send(number);
         let frame = traffic.stations[usize::from(by)].queue.front();
-        self.on_air.begin(now, cargo != Cargo::Frame || frame.is_some_and(|frame| frame.hop != Hop::Foreign));
+        self.occupied.begin(now, cargo != Cargo::Frame || frame.is_some_and(|frame| frame.hop != Hop::Foreign));
         number
     }
 
@@ -317,11 +317,11 @@ impl<T: Clone> Field<T> {
     }
 }
 
-impl OnAir {
+impl Occupied {
     /// Counts that a transmission begins.
     fn begin(&mut self, now: Time, own: bool) {
         if self.number == 0 {
-            *self = OnAir { since: now.max(self.until), until: self.until, own: false, number: 0 };
+            *self = Occupied { since: now.max(self.until), until: self.until, own: false, number: 0 };
         }
         self.number += 1;
         self.own |= own;
