@@ -293,7 +293,10 @@ impl Radio {
             return wrong(field, "distances follow from powers; leave one of the two out");
         }
         if self.channel == Topology::Infrastructure && self.access_point_m.is_none() {
-            return wrong("access_point_m", "powers need the place of the access point");
+            return wrong(
+                "access_point_m",
+                "powers need the place of the access point; give it, or channel = \"ad-hoc\"",
+            );
         }
         powers.check().map_err(|error| error.within("powers"))
     }
