@@ -142,10 +142,10 @@ full-python:
     # The largest wheel that is handed on [bytes]: the engine of ONNX and all studies are in it. The index of Python takes 100 MB.
     MATURIN_PEP517_ARGS="--compression-level 9" target/python/bin/pip wheel --quiet --no-deps --wheel-dir target/wheels ./python
     test "$(stat --format=%s target/wheels/murmurate-*.whl)" -le 17000000
-    MURMURATE_FULL=1 target/python/bin/python -m pytest python/tests --ignore python/tests/test_parts.py
+    FULL_TESTS=1 target/python/bin/python -m pytest python/tests --ignore python/tests/test_parts.py
     target/python/bin/python python/tests/rates.py
     target/python/bin/pip install --quiet ./tests/stranger/python
-    MURMURATE_FULL=1 target/python/bin/python -m pytest python/tests/test_parts.py
+    FULL_TESTS=1 target/python/bin/python -m pytest python/tests/test_parts.py
 
 # Policies of format 3 by the library onnxruntime of PyPI beside the program's own engine: checks, runs, and wrong libraries (4 minutes)
 full-onnxruntime:

@@ -93,36 +93,42 @@ fn field(bencher: Bencher, space: &str) {
     });
 }
 
-/// Eight robots that move and multicast 200 bytes 20 times a second, each at its own moment, for ten seconds: without
-/// space, with it by discs, by powers, and by powers with shadowing and fading. An item is a transmission.
-#[divan::bench(args = ["without", "discs", "powers", "faded"])]
-fn steps(bencher: Bencher, space: &str) {
-    let robots = 8;
-    let run = || {
-        let mut radio = Radio { channel: Topology::AdHoc, ..Radio::default() };
-        match space {
-            "without" => {}
-            "discs" => radio.sense_m = Some(30.0),
-            "powers" => radio.powers = Some(Powers::default()),
-            _ => {
-                radio.powers = Some(Powers { shadowing_db: 4.0, fading: Fading::Rayleigh, ..Powers::default() });
-            }
-        }
-        let mut channel = Channel::new(radio, robots, &Seed::of_run(1));
-        let all: Arc<[u16]> = (0..robots).collect();
-        let mut arrived = Vec::new();
-        for step in 0..200_u64 {
-            for robot in 0..robots {
-                channel.place(robot, Vec2::new(f32::from(robot), 0.01 * step as f32));
-            }
-            for robot in 0..robots {
-                let now = Time::ZERO + Span::from_millis(50) * step + Span::from_nanos(5_500_000 * u64::from(robot));
-                channel.wake(now, &mut arrived);
-                channel.offer(now, robot, Destination::Many(Arc::clone(&all)), 200, ());
+/// Teams of eight robots in 1024 environments, which move and multicast 200 bytes 20 times a second for half a second, at
+/// once or each at its own moment: without space, with it by discs in which all hear all and in which some are hidden,
+/// by powers, and by powers with shadowing and fading. An item is a step of one environment.
+#[divan::bench(args = ["without", "discs", "hidden", "powers", "faded"], consts = [0, 5_500_000], sample_count = 10)]
+fn steps<const APART_NS: u64>(bencher: Bencher, space: &str) {
+    let (environments, robots, steps) = (1024, 8, 10);
+    let mut radio = Radio { channel: Topology::AdHoc, ..Radio::default() };
+    match space {
+        "without" => {}
+        "discs" => radio.sense_m = Some(30.0),
+        "hidden" => (radio.range_m, radio.sense_m) = (Some(2.5), Some(4.5)),
+        "powers" => radio.powers = Some(Powers::default()),
+        _ => radio.powers = Some(Powers { shadowing_db: 4.0, fading: Fading::Rayleigh, ..Powers::default() }),
+    }
+    let mut channels: Vec<Channel<()>> =
+        (0..environments).map(|seed| Channel::new(radio.clone(), robots, &Seed::of_run(seed))).collect();
+    let all: Arc<[u16]> = (0..robots).collect();
+    let (mut arrived, mut step) = (Vec::new(), 0_u64);
+    let items = ItemsCount::new(channels.len() * steps);
+    bencher.counter(items).bench_local(|| {
+        for _ in 0..steps {
+            for channel in &mut channels {
+                for robot in 0..robots {
+                    channel.place(robot, Vec2::new(f32::from(robot), 0.001 * (step % 1000) as f32));
+                }
+                for robot in 0..robots {
+                    let apart = Span::from_nanos(APART_NS * u64::from(robot));
+                    let now = Time::ZERO + Span::from_millis(50) * step + apart;
+                    channel.wake(now, &mut arrived);
+                    channel.offer(now, robot, Destination::Many(Arc::clone(&all)), 200, ());
+                }
+                channel.wake(Time::ZERO + Span::from_millis(50) * (step + 1), &mut arrived);
                 arrived.clear();
             }
+            step += 1;
         }
-        channel.counts(Time::ZERO).transmissions
-    };
-    bencher.counter(ItemsCount::new(run())).bench_local(|| black_box(run()));
+        black_box(channels[0].counts(Time::ZERO).transmissions)
+    });
 }

@@ -7,7 +7,7 @@ import pytest
 
 
 def need(name):
-    """Imports a package. Where it is absent the tests are skipped, but with MURMURATE_FULL (``just full-python``) they fail."""
-    if os.environ.get("MURMURATE_FULL"):
+    """Imports a package. Where it is absent the tests are skipped, but with FULL_TESTS (``just full-python``) they fail."""
+    if os.environ.get("FULL_TESTS"):
         return importlib.import_module(name)
     return pytest.importorskip(name)

@@ -12,7 +12,7 @@ from murmurate import _module
 there = importlib.metadata.entry_points(group=_module.GROUP)
 # "just full-python" installs it, and runs this file then.
 installed = pytest.mark.skipif(
-    not there and not os.environ.get("MURMURATE_FULL"), reason="no package with parts of its own is installed"
+    not there and not os.environ.get("FULL_TESTS"), reason="no package with parts of its own is installed"
 )
 
 

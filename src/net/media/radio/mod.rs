@@ -2,10 +2,10 @@
 //! channel's parameters and the interframe spaces that follow from them.
 //!
 //! `channel` is the channel that callers see. Its stations (`station`, `traffic`) share a medium: one that all of them
-//! sense (`domain`), or one with space (`field`), in which each has its own view (`view`) of what others send. `links`
-//! and `powers` tell who hears whom how well, and `reading` which frames can be read among others. `rate` has the
-//! airtime of frames, `adaptation` the choice among rates, and `bianchi` a model of saturation. The code knows no
-//! actor, message or clock. Numbers of clauses are those of IEEE 802.11-2016. `docs/radio.md` lists what is not
+//! sense (`domain`), or one with space (`field`), in which each has its own view of the medium (`view`) and its own
+//! receiver (`receiver`). `links` and `powers` tell who hears whom how well, and `reading` which frames can be read among
+//! others. `rate` has the airtime of frames, `adaptation` the choice among rates, and `bianchi` a model of saturation. The
+//! code knows no actor, message or clock. Numbers of clauses are those of IEEE 802.11-2016. `docs/radio.md` lists what is not
 //! modelled.
 
 mod adaptation;
@@ -19,6 +19,7 @@ mod powers;
 mod presets;
 pub mod rate;
 mod reading;
+mod receiver;
 mod station;
 mod traffic;
 mod view;

@@ -5,6 +5,7 @@ use std::cmp::Reverse;
 use super::{Air, Awaited, CERTAIN, Cargo, Event, Field, Outcome, Reception, receiver_of};
 use crate::net::media::radio::links::Hearer;
 use crate::net::media::radio::rate::Rate;
+use crate::net::media::radio::receiver::Read;
 use crate::net::media::radio::station::{Destination, Hop, QueuedFrame};
 use crate::net::media::radio::traffic::{Delivery, Sent, Traffic};
 use crate::net::media::radio::{ACK_BYTES, Radio, Times};
@@ -28,8 +29,15 @@ impl<T: Clone> Field<T> {
         let air = self.airs[number as usize].take().expect("a transmission on the air");
         self.views[usize::from(air.by)].sending = None;
         self.receptions.resize(traffic.stations.len(), Reception::Far);
-        for hearer in air.hearers.iter().filter(|hearer| hearer.station != air.by) {
-            self.receptions[usize::from(hearer.station)] = self.received(now, number, *hearer);
+        let alone = self.alone.take_if(|alone| *alone == number).is_some();
+        for hearer in air.hearers.iter().filter(|hearer| hearer.station != air.by && hearer.power > 0.0) {
+            let at = usize::from(hearer.station);
+            let read = if alone {
+                self.thresholds.undisturbed(air.since, now, air.arrival(number, hearer.power))
+            } else {
+                self.receivers[at].leave(now, number, &self.thresholds)
+            };
+            self.receptions[at] = self.received(read, *hearer);
         }
         let (answer, relayed) = match air.cargo {
             Cargo::Acknowledgement(to) => {
@@ -116,13 +124,9 @@ impl<T: Clone> Field<T> {
         }
     }
 
-    /// Returns how a transmission that ends was received by a station.
-    fn received(&mut self, now: Time, number: u32, hearer: Hearer) -> Reception {
-        if hearer.power == 0.0 {
-            return Reception::Far;
-        }
-        let view = &mut self.views[usize::from(hearer.station)];
-        match view.leave(now, number, &self.receiver) {
+    /// Returns what comes of a transmission that ends at a station which has read it so, or not at all.
+    fn received(&mut self, read: Option<Read>, hearer: Hearer) -> Reception {
+        match read {
             Some(read) => {
                 let share = if read.ln_read == 0.0 { 1.0 } else { libm::exp(read.ln_read) };
                 if share > CERTAIN || self.reading.random::<f64>() < share {
@@ -133,7 +137,7 @@ impl<T: Clone> Field<T> {
                     Reception::Collided
                 }
             }
-            None if self.receiver.hears(hearer.power) => Reception::Collided,
+            None if self.thresholds.hears(hearer.power) => Reception::Collided,
             None => Reception::Far,
         }
     }

@@ -15,9 +15,10 @@ use serde::{Deserialize, Serialize};
 use super::adaptation::Rates;
 use super::links::{Hearer, Links};
 use super::rate::Rate;
+use super::receiver::{Arrival, Receiver, Thresholds};
 use super::station::{Attempts, Destination, Hop, QueuedFrame};
 use super::traffic::{Delivery, Reached, Traffic};
-use super::view::{Arrival, Receiver, View};
+use super::view::View;
 use super::{ACK_BYTES, Topology};
 use crate::messages::geometry::Vec2;
 use crate::random::{Seed, Stream, stored};
@@ -52,6 +53,8 @@ struct Air {
     since: Time,
     cargo: Cargo,
     rate: Rate,
+    /// Bits of the frame for each second of its time on the air.
+    bits_per_s: f64,
     /// Whether the sender has sensed another transmission meanwhile.
     overlapped: bool,
     hearers: Vec<Hearer>,
@@ -91,11 +94,16 @@ enum Outcome {
 /// Medium in which each station has its own view.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Field<T> {
-    receiver: Receiver,
+    thresholds: Thresholds,
     links: Links,
     rates: Rates,
     /// View of each station, by its index.
     views: Vec<View>,
+    /// Receiver of each station, by its index.
+    receivers: Vec<Receiver>,
+    /// Number of the transmission on the air, if it is the only one: no receiver knows of it, since each reads it as it
+    /// would by itself.
+    alone: Option<u32>,
     /// Positions of all stations, with the access point and the station of other networks.
     #[serde(skip)]
     places: Vec<Option<Vec2>>,
@@ -116,9 +124,9 @@ pub(super) struct Field<T> {
     receptions: Vec<Reception>,
     #[serde(skip)]
     spare: Vec<Vec<Hearer>>,
-    /// Transmissions that begin at one instant, with their lengths \[bytes\].
+    /// Transmissions that begin at one instant.
     #[serde(skip)]
-    begun: Vec<(u32, usize)>,
+    begun: Vec<u32>,
     #[serde(with = "stored")]
     fading: Stream,
     #[serde(with = "stored")]
@@ -140,10 +148,12 @@ impl<T: Clone> Field<T> {
         let stations = traffic.stations.len();
         let free_at = Time::ZERO + traffic.times.aifs;
         Field {
-            receiver: Receiver::new(&traffic.radio),
+            thresholds: Thresholds::new(&traffic.radio),
             links: Links::new(&traffic.radio, stations),
             rates: Rates::new(&traffic.radio, seed),
             views: vec![View::new(free_at); stations],
+            receivers: vec![Receiver::default(); stations],
+            alone: None,
             places: Vec::new(),
             placed: false,
             turns: Turns::new(stations),
@@ -172,8 +182,8 @@ impl<T: Clone> Field<T> {
         let places: Vec<Option<Vec2>> = places(traffic).collect();
         let all = self.links.paths(&traffic.radio, &places, from);
         let others = all.into_iter().filter(|hearer| hearer.station != from && hearer.station < traffic.members);
-        let reached = |hearer: Hearer| Reached { station: hearer.station, reads: self.receiver.hears(hearer.power) };
-        others.filter(|hearer| hearer.sensed || self.receiver.hears(hearer.power)).map(reached).collect()
+        let reached = |hearer: Hearer| Reached { station: hearer.station, reads: self.thresholds.hears(hearer.power) };
+        others.filter(|hearer| hearer.sensed || self.thresholds.hears(hearer.power)).map(reached).collect()
     }
 
     /// Sets the walls that weaken frames.
@@ -230,8 +240,7 @@ impl<T: Clone> Field<T> {
             }
             self.events.pop();
             let (to, rate) = self.owed[usize::from(station)].take().expect("a station that owes");
-            let air = self.send(traffic, now, station, Cargo::Acknowledgement(to), (rate, ACK_BYTES));
-            begun.push((air, ACK_BYTES));
+            begun.push(self.send(traffic, now, station, Cargo::Acknowledgement(to), (rate, ACK_BYTES)));
         }
         while let Some(by) = self.turns.take(now) {
             let slot = self.views[by].slots(now, traffic.times.slot).expect("a station that counts slots");
@@ -240,10 +249,11 @@ impl<T: Clone> Field<T> {
             let frame = traffic.stations[by].queue.front().expect("a station that sends has a frame");
             let bytes = traffic.radio.overhead_bytes + frame.bytes;
             let rate = self.rate_of(traffic, now, by);
-            begun.push((self.send(traffic, now, by as u16, Cargo::Frame, (rate, bytes)), bytes));
+            begun.push(self.send(traffic, now, by as u16, Cargo::Frame, (rate, bytes)));
         }
-        for (air, bytes) in begun.drain(..) {
-            self.spread(traffic, now, air, bytes);
+        self.alone = begun.first().copied().filter(|_| self.occupied.number == 1).or(self.alone);
+        for air in begun.drain(..) {
+            self.spread(traffic, now, air);
         }
         self.begun = begun;
     }
@@ -261,6 +271,9 @@ impl<T: Clone> Field<T> {
 
     /// Puts a transmission of a station on the air, and returns its number.
     fn send(&mut self, traffic: &Traffic<T>, now: Time, by: u16, cargo: Cargo, (rate, bytes): (Rate, usize)) -> u32 {
+        if let Some(other) = self.alone.take() {
+            self.tell_receivers(other);
+        }
         let airtime = rate.airtime(bytes, traffic.radio.width_mhz, traffic.radio.band);
         let number = self.idle_airs.pop().unwrap_or_else(|| {
             self.airs.push(None);
@@ -275,29 +288,26 @@ impl<T: Clone> Field<T> {
             self.placed = true;
         }
         self.links.hearers(&traffic.radio, &self.places, by, &mut self.fading, &mut hearers);
-        self.airs[number as usize] = Some(Air { by, since: now, cargo, rate, overlapped: false, hearers });
+        let bits_per_s = 8.0 * bytes as f64 / airtime.as_secs();
+        self.airs[number as usize] = Some(Air { by, since: now, cargo, rate, bits_per_s, overlapped: false, hearers });
         self.events.push(Reverse((now + airtime + traffic.times.propagation, Event::End(number))));
-        self.views[usize::from(by)].send(number);
+        self.receivers[usize::from(by)].stop();
+        let view = &mut self.views[usize::from(by)];
+        (view.sending, view.busy) = (Some(number), view.busy + 1);
         let frame = traffic.stations[usize::from(by)].queue.front();
         self.occupied.begin(now, cargo != Cargo::Frame || frame.is_some_and(|frame| frame.hop != Hop::Foreign));
         number
     }
 
     /// Lets the hearers of a transmission that has begun know of it.
-    fn spread(&mut self, traffic: &mut Traffic<T>, now: Time, number: u32, bytes: usize) {
+    fn spread(&mut self, traffic: &mut Traffic<T>, now: Time, number: u32) {
+        if self.alone != Some(number) {
+            self.tell_receivers(number);
+        }
         let mut air = self.airs[number as usize].take().expect("a transmission on the air");
-        let airtime = air.rate.airtime(bytes, traffic.radio.width_mhz, traffic.radio.band);
-        let bits_per_s = 8.0 * bytes as f64 / airtime.as_secs();
-        for hearer in air.hearers.iter().filter(|hearer| hearer.station != air.by) {
+        for hearer in air.hearers.iter().filter(|hearer| hearer.sensed && hearer.station != air.by) {
             let at = usize::from(hearer.station);
             let view = &mut self.views[at];
-            if hearer.power > 0.0 {
-                let arrival = Arrival { air: number, power: hearer.power, rate: air.rate, bits_per_s };
-                view.arrive(now, arrival, &self.receiver);
-            }
-            if !hearer.sensed {
-                continue;
-            }
             if view.busy == 0 {
                 let station = &mut traffic.stations[at];
                 if station.counts_down() {
@@ -314,6 +324,24 @@ impl<T: Clone> Field<T> {
             }
         }
         self.airs[number as usize] = Some(air);
+    }
+
+    /// Lets the receivers that a transmission reaches know that it has begun.
+    fn tell_receivers(&mut self, number: u32) {
+        let air = self.airs[number as usize].as_ref().expect("a transmission on the air");
+        for hearer in air.hearers.iter().filter(|hearer| hearer.station != air.by && hearer.power > 0.0) {
+            let at = usize::from(hearer.station);
+            let sending = self.views[at].sending.is_some();
+            let arrival = air.arrival(number, hearer.power);
+            self.receivers[at].arrive(air.since, arrival, sending, &self.thresholds);
+        }
+    }
+}
+
+impl Air {
+    /// Returns the transmission, which has this number, as it is at a receiver that it reaches with a power \[mW\].
+    fn arrival(&self, air: u32, power: f64) -> Arrival {
+        Arrival { air, power, rate: self.rate, bits_per_s: self.bits_per_s }
     }
 }
 
