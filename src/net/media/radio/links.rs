@@ -86,6 +86,12 @@ impl Links {
         stream: &mut Stream,
         to: &mut Vec<Hearer>,
     ) {
+        if self.scale.is_none() && positions.len() <= LINEAR_SEARCH_MAX {
+            // Distances are compared as fast as what was found before is read.
+            let at = positions[usize::from(from)];
+            let all = (0..).zip(positions);
+            return to.extend(all.filter_map(|(station, other)| of_distance(radio, (from, station), at.zip(*other))));
+        }
         let at = usize::from(from);
         if !std::mem::replace(&mut self.known[at], true) {
             let (mut grid, mut links) = (self.grid.take(), std::mem::take(&mut self.of[at]));
@@ -155,14 +161,16 @@ impl Links {
         }
         let ends = positions[usize::from(from)].zip(positions[usize::from(station)]);
         let (Some(powers), Some(scale)) = (&radio.powers, self.scale) else {
-            let squared = ends.map_or(0.0, |(from, to)| (to - from).norm_squared());
-            let within = |limit: Option<f32>| limit.is_none_or(|limit| squared <= limit * limit);
-            if within(radio.sense_m) {
-                let power = if within(radio.range_m) { EQUAL_POWER } else { 0.0 };
-                found.push(Link { hearer: Hearer { station, power, sensed: true }, path: 0.0, chance: 1.0 });
-            }
-            return;
+            let hearer = of_distance(radio, (from, station), ends);
+            return found.extend(hearer.map(|hearer| Link { hearer, path: 0.0, chance: 1.0 }));
         };
+        if self.known[usize::from(station)] {
+            // A path is the same both ways.
+            let back = &self.of[usize::from(station)];
+            let link = back.binary_search_by_key(&from, |link| link.hearer.station).ok().map(|at| back[at]);
+            let turned = |link: Link| Link { hearer: Hearer { station, ..link.hearer }, ..link };
+            return found.extend(link.map(turned));
+        }
         let path = ends.map_or(scale.of_path(0.0, 0), |(from, to)| {
             scale.of_path(f64::from((to - from).norm_squared()), self.crossed(powers, from, to))
         });
@@ -202,6 +210,18 @@ fn reach_m(radio: &Radio) -> f32 {
         Some(powers) => powers.reach_m() as f32,
         None => radio.sense_m.unwrap_or(f32::INFINITY),
     }
+}
+
+/// Returns a station as a hearer of a frame of the station `from`, if it senses the frame, on a channel without powers.
+/// `ends` are the positions of both, if both have one.
+fn of_distance(radio: &Radio, (from, station): (u16, u16), ends: Option<(Vec2, Vec2)>) -> Option<Hearer> {
+    if station == from {
+        return Some(Hearer { station, power: 0.0, sensed: true });
+    }
+    let squared = ends.map_or(0.0, |(from, to)| (to - from).norm_squared());
+    let within = |limit: Option<f32>| limit.is_none_or(|limit| squared <= limit * limit);
+    let power = if within(radio.range_m) { EQUAL_POWER } else { 0.0 };
+    within(radio.sense_m).then_some(Hearer { station, power, sensed: true })
 }
 
 /// Returns the station `station` as a hearer of a frame with this power \[mW\], if it matters.

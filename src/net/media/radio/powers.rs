@@ -127,6 +127,8 @@ pub(super) struct Scale {
     base: f64,
     /// Half of the exponent, for squared distances.
     half_exponent: f64,
+    /// The exponent, if it is a small whole number: then powers are products.
+    whole: Option<u8>,
     /// Ratio behind a wall.
     wall: f64,
     /// Standard deviation of the logarithm of the shadowing; 0 for none.
@@ -146,6 +148,7 @@ impl Scale {
         Scale {
             base: milliwatts(powers.tx_dbm - powers.reference_db),
             half_exponent: 0.5 * powers.exponent,
+            whole: (1..=6).find(|whole| f64::from(*whole) == powers.exponent),
             wall: milliwatts(-powers.wall_db),
             shadowing: powers.shadowing_db / 10.0 * LN_10,
             fades: powers.fading == Fading::Rayleigh,
@@ -158,7 +161,14 @@ impl Scale {
     /// Returns the power \[mW\] over a path with the square of its length \[m^2\] behind a number of walls, without
     /// shadowing and fading.
     pub fn of_path(&self, squared_m2: f64, walls: usize) -> f64 {
-        let over = libm::pow(squared_m2.max(1.0), -self.half_exponent);
+        let squared = squared_m2.max(1.0);
+        let over = match self.whole {
+            Some(whole) => {
+                let odd = if whole % 2 == 1 { squared.sqrt() } else { 1.0 };
+                1.0 / (0..whole / 2).fold(odd, |over, _| over * squared)
+            }
+            None => libm::pow(squared, -self.half_exponent),
+        };
         (0..walls).fold(self.base * over, |power, _| power * self.wall)
     }
 
@@ -221,6 +231,10 @@ mod tests {
         assert!((powers.of_path(1.0, 0) - (16.0 - 40.05)).abs() < 1e-9);
         assert!((powers.of_path(100.0, 0) - (16.0 - 40.05 - 60.0)).abs() < 1e-9);
         assert!((powers.of_path(100.0, 2) - (16.0 - 40.05 - 72.0)).abs() < 1e-9);
+        for exponent in [2.0, 3.0, 5.0] {
+            let [near, far] = [0.0, 1e-9].map(|more| Powers { exponent: exponent + more, ..powers });
+            assert!((near.of_path(300.0, 0) - far.of_path(300.0, 0)).abs() < 1e-6, "products are powers");
+        }
         let reach = powers.reach_m();
         assert!((powers.of_path(reach, 0) - powers.floor_dbm()).abs() < 1e-6);
     }

@@ -50,12 +50,14 @@ impl Thresholds {
     }
 
     /// Returns whether a frame of this power is read by itself, in some share of cases.
+    #[inline]
     pub fn hears(&self, power: f64) -> bool {
         power >= self.detect && power >= self.detect_ratio * self.noise
     }
 
     /// Returns how a receiver reads a whole frame that nothing disturbs, from its beginning at `since` to its end at
     /// `now`; `None` if it does not hear it.
+    #[inline]
     pub fn undisturbed(&self, since: Time, now: Time, frame: Arrival) -> Option<Read> {
         let ln_read = self.ln_read(frame, 0.0, now.since(since));
         self.hears(frame.power).then_some(Read { ln_read, alone: true })
@@ -63,6 +65,7 @@ impl Thresholds {
 
     /// Returns the logarithm of the probability that a part of a frame is read, beside others of the power `others`
     /// \[mW\].
+    #[inline]
     fn ln_read(&self, frame: Arrival, others: f64, part: Span) -> f64 {
         let others = self.noise + others;
         if others == 0.0 || frame.power >= CLEAR_RATIO * others || part == Span::ZERO {

@@ -28,6 +28,7 @@ impl<T: Clone> Field<T> {
     pub(super) fn end(&mut self, traffic: &mut Traffic<T>, now: Time, number: u32, deliveries: &mut Vec<Delivery<T>>) {
         let air = self.airs[number as usize].take().expect("a transmission on the air");
         self.views[usize::from(air.by)].sending = None;
+        self.receptions.clear();
         self.receptions.resize(traffic.stations.len(), Reception::Far);
         let alone = self.alone.take_if(|alone| *alone == number).is_some();
         for hearer in air.hearers.iter().filter(|hearer| hearer.station != air.by && hearer.power > 0.0) {
@@ -44,30 +45,30 @@ impl<T: Clone> Field<T> {
                 self.acknowledged(traffic, usize::from(to));
                 (Answer::None, None)
             }
-            Cargo::Frame => self.end_frame(traffic, now, &air, deliveries),
+            Cargo::Frame => self.end_frame(traffic, now, (&air, alone), deliveries),
         };
         self.occupied.end(if let Answer::Until(until) = answer { until } else { now }, traffic);
         self.let_know(traffic, now, &air, answer);
         if let Some(relayed) = relayed {
             self.push(traffic, now, usize::from(traffic.members), relayed);
         }
-        air.hearers.iter().for_each(|hearer| self.receptions[usize::from(hearer.station)] = Reception::Far);
         self.spare.push(air.hearers);
         self.idle_airs.push(number);
     }
 
-    /// Ends the transmission of the frame at the front of its sender's queue. Returns what hearers expect after it, and
+    /// Ends the transmission of the frame at the front of its sender's queue; `alone` says whether nothing else was on
+    /// the air meanwhile. Returns what hearers expect after it, and
     /// the frame that an access point has to relay.
     fn end_frame(
         &mut self,
         traffic: &mut Traffic<T>,
         now: Time,
-        air: &Air,
+        (air, alone): (&Air, bool),
         deliveries: &mut Vec<Delivery<T>>,
     ) -> (Answer, Option<QueuedFrame<T>>) {
         let by = usize::from(air.by);
         let frame = traffic.stations[by].queue.pop_front().expect("a station that has sent has a frame");
-        let missed = self.missed(traffic, &frame);
+        let missed = if alone { 0 } else { self.missed(traffic, &frame) };
         if frame.hop != Hop::Foreign {
             let airtime = now.since(air.since) - traffic.times.propagation;
             let unwanted = !frame.unicast() && frame.copies() == 0;
@@ -125,6 +126,7 @@ impl<T: Clone> Field<T> {
     }
 
     /// Returns what comes of a transmission that ends at a station which has read it so, or not at all.
+    #[inline]
     fn received(&mut self, read: Option<Read>, hearer: Hearer) -> Reception {
         match read {
             Some(read) => {
@@ -235,7 +237,10 @@ impl<T: Clone> Field<T> {
                 }
             }
         }
-        self.plan(traffic, station);
+        // Who counts no slots has no turn already.
+        if traffic.stations[station].counts_down() {
+            self.plan(traffic, station);
+        }
     }
 }
 
