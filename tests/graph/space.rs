@@ -9,7 +9,7 @@ use murmurate::net::media::radio::counts::StationCounts;
 use murmurate::net::media::radio::{
     Adaptation, Channel, Delivery, Destination, Powers, Radio, RadioCounts, Recovery, Topology,
 };
-use murmurate::random::{RngExt, Seed};
+use murmurate::random::{RngExt, Seed, Stream};
 use murmurate::time::{Span, Time};
 use murmurate::trial::Trial;
 
@@ -24,18 +24,49 @@ fn ad_hoc() -> Radio {
 /// All that a channel tells of a run.
 type Told = (Vec<Delivery<u32>>, RadioCounts, Vec<StationCounts>, Vec<Transmission<u32>>);
 
+/// Corners of a pentagon at which five stations are.
+#[derive(Clone, Copy, Debug)]
+enum Places {
+    /// None.
+    Nowhere,
+    /// Within a square whose diagonal is 1 m.
+    Close,
+    /// All within 1 m of each other, but not in such a square.
+    Apart,
+    /// Now close and now apart.
+    Changing,
+}
+
+impl Places {
+    fn radius_m(self, stream: &mut Stream) -> Option<f32> {
+        match self {
+            Places::Nowhere => None,
+            Places::Close => Some(0.3),
+            Places::Apart => Some(0.5),
+            Places::Changing => Some(if stream.random_bool(0.5) { 0.3 } else { 0.5 }),
+        }
+    }
+}
+
 /// Runs five stations that send frames of many sizes to one and to all, at random times, about as fast as the channel
 /// carries them.
-fn mixed(radio: &Radio, seed: u64, mean_s: f64) -> Told {
+fn mixed(radio: &Radio, seed: u64, mean_s: f64, places: Places) -> Told {
     let stations = 5;
     let mut channel = Channel::new(radio.clone(), stations, &Seed::of_run(seed));
     channel.record_transmissions();
+    let mut stand = Seed::of_run(seed).stream("places");
     let mut load = Seed::of_run(seed).stream("load");
     let all: Arc<[u16]> = (0..stations).collect();
     let (mut arrived, mut s) = (Vec::new(), 0.0);
     for number in 0..1500 {
         s += load.random_range(0.0..2.0 * mean_s);
         channel.wake(at_s(s), &mut arrived);
+        if let Some(radius_m) = places.radius_m(&mut stand) {
+            for station in 0..stations {
+                let (sin, cos) = (f32::from(station) * 1.2566).sin_cos();
+                channel.place(station, Vec2::new(radius_m * cos, radius_m * sin));
+            }
+        }
         let from = load.random_range(0..stations);
         let to = match load.random_range(0..3) {
             0 => Destination::One((from + load.random_range(1..stations)) % stations),
@@ -66,14 +97,17 @@ fn where_all_hear_all_a_channel_with_space_is_the_one_without() {
         for seed in 1..=3 {
             // At a slow and at a fast load.
             for mean_s in [0.006, 0.001] {
-                let (without, with) = (mixed(radio, seed, mean_s), mixed(&space, seed, mean_s));
+                let without = mixed(radio, seed, mean_s, Places::Nowhere);
                 assert!(without.0.len() > 300, "radio {at}: {} deliveries", without.0.len());
-                let what = format!("radio {at}, seed {seed}, mean {mean_s} s");
-                let differs = without.0.iter().zip(&with.0).position(|(one, other)| one != other);
-                assert_eq!((without.0.len(), None), (with.0.len(), differs), "deliveries, {what}");
-                assert_eq!(without.1, with.1, "{what}");
-                assert_eq!(without.2, with.2, "{what}");
-                assert!(without.3 == with.3, "transmissions, {what}");
+                for places in [Places::Nowhere, Places::Close, Places::Apart, Places::Changing] {
+                    let with = mixed(&space, seed, mean_s, places);
+                    let what = format!("radio {at}, seed {seed}, mean {mean_s} s, {places:?}");
+                    let differs = without.0.iter().zip(&with.0).position(|(one, other)| one != other);
+                    assert_eq!((without.0.len(), None), (with.0.len(), differs), "deliveries, {what}");
+                    assert_eq!(without.1, with.1, "{what}");
+                    assert_eq!(without.2, with.2, "{what}");
+                    assert!(without.3 == with.3, "transmissions, {what}");
+                }
             }
         }
     }

@@ -219,7 +219,7 @@ impl<T: Clone> Channel<T> {
     fn plan(&mut self) {
         let next = match &self.medium {
             Medium::Shared(domain) => domain.due(&self.traffic),
-            Medium::Space(field) => field.due(),
+            Medium::Space(field) => field.due(&self.traffic),
         };
         self.due = [next, self.foreign_due, self.beacon_due].into_iter().flatten().min();
     }

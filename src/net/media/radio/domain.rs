@@ -30,7 +30,18 @@ pub(super) struct Domain {
 impl Domain {
     /// Returns an idle medium at time zero.
     pub fn new<T>(traffic: &Traffic<T>) -> Domain {
-        Domain { on_air: None, senders: Vec::new(), free_at: Time::ZERO + traffic.times.aifs }
+        Domain::idle_from(Time::ZERO + traffic.times.aifs)
+    }
+
+    /// Returns an idle medium, on which stations count backoff slots from `free_at` on.
+    pub fn idle_from(free_at: Time) -> Domain {
+        Domain { on_air: None, senders: Vec::new(), free_at }
+    }
+
+    /// Returns the time from which stations count backoff slots, if they do at `now`: nothing is on the air, and the
+    /// space after the last frame is over.
+    pub fn idle_since(&self, now: Time) -> Option<Time> {
+        (self.on_air.is_none() && self.free_at <= now).then_some(self.free_at)
     }
 
     /// Queues a frame at a station; if its queue was empty, schedules its transmission.

@@ -5,6 +5,7 @@
 //! `domain`: with the same seed, each delivery is the same.
 
 mod ending;
+mod together;
 mod turns;
 
 use std::cmp::Reverse;
@@ -13,6 +14,7 @@ use std::collections::BinaryHeap;
 use serde::{Deserialize, Serialize};
 
 use super::adaptation::Rates;
+use super::domain::Domain;
 use super::links::{Hearer, Links};
 use super::rate::Rate;
 use super::receiver::{Arrival, Receiver, Thresholds};
@@ -110,6 +112,11 @@ pub(super) struct Field<T> {
     /// Whether they are those of now.
     #[serde(skip)]
     placed: bool,
+    /// Medium of all stations while they sense and read each other: it tells the same in less time.
+    together: Option<Domain>,
+    /// Whether all stations sense and read each other now.
+    #[serde(skip)]
+    close: bool,
     turns: Turns,
     airs: Vec<Option<Air>>,
     idle_airs: Vec<u32>,
@@ -156,6 +163,8 @@ impl<T: Clone> Field<T> {
             alone: None,
             places: Vec::new(),
             placed: false,
+            together: None,
+            close: false,
             turns: Turns::new(stations),
             airs: Vec::new(),
             idle_airs: Vec::new(),
@@ -192,13 +201,20 @@ impl<T: Clone> Field<T> {
     }
 
     /// Returns the time of the next event.
-    pub fn due(&self) -> Option<Time> {
+    pub fn due(&self, traffic: &Traffic<T>) -> Option<Time> {
+        if let Some(together) = &self.together {
+            return together.due(traffic);
+        }
         let event = self.events.peek().map(|Reverse((at, _))| *at);
         [event, self.turns.next()].into_iter().flatten().min()
     }
 
     /// Queues a frame at a station; if its queue was empty, schedules its transmission.
     pub fn push(&mut self, traffic: &mut Traffic<T>, now: Time, station: usize, frame: QueuedFrame<T>) {
+        self.gather_or_part(traffic, now);
+        if let Some(together) = &self.together {
+            return together.push(traffic, now, station, frame);
+        }
         if !traffic.enqueue(station, frame) {
             return;
         }
@@ -214,6 +230,10 @@ impl<T: Clone> Field<T> {
 
     /// Handles all events of the instant `now`: what ends, and then what begins.
     pub fn wake(&mut self, traffic: &mut Traffic<T>, now: Time, deliveries: &mut Vec<Delivery<T>>) {
+        self.gather_or_part(traffic, now);
+        if let Some(together) = &mut self.together {
+            return together.wake(traffic, now, deliveries);
+        }
         while let Some(&Reverse((at, Event::End(air)))) = self.events.peek() {
             if at > now {
                 break;
@@ -281,12 +301,6 @@ impl<T: Clone> Field<T> {
         });
         let mut hearers = self.spare.pop().unwrap_or_default();
         hearers.clear();
-        if !self.placed {
-            self.links.moved();
-            self.places.clear();
-            self.places.extend(places(traffic));
-            self.placed = true;
-        }
         self.links.hearers(&traffic.radio, &self.places, by, &mut self.fading, &mut hearers);
         let bits_per_s = 8.0 * bytes as f64 / airtime.as_secs();
         self.airs[number as usize] = Some(Air { by, since: now, cargo, rate, bits_per_s, overlapped: false, hearers });
