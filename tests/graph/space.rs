@@ -35,15 +35,30 @@ enum Places {
     Apart,
     /// Now close and now apart.
     Changing,
+    /// At unequal distances of some metres, and a sixth station on one side.
+    Uneven {
+        /// How far away the sixth is.
+        sixth_m: f32,
+    },
 }
 
 impl Places {
-    fn radius_m(self, stream: &mut Stream) -> Option<f32> {
-        match self {
-            Places::Nowhere => None,
-            Places::Close => Some(0.3),
-            Places::Apart => Some(0.5),
-            Places::Changing => Some(if stream.random_bool(0.5) { 0.3 } else { 0.5 }),
+    /// Moves the stations of a channel.
+    fn place(self, channel: &mut Channel<u32>, stream: &mut Stream) {
+        let radius_m = match self {
+            Places::Nowhere => return,
+            Places::Close => 0.3,
+            Places::Changing if stream.random_bool(0.5) => 0.3,
+            Places::Apart | Places::Changing => 0.5,
+            Places::Uneven { sixth_m } => {
+                channel.place(5, Vec2::new(sixth_m, 0.0));
+                4.0
+            }
+        };
+        for station in 0..5 {
+            let (sin, cos) = (f32::from(station) * 1.2566).sin_cos();
+            let farther = if matches!(self, Places::Uneven { .. }) { 0.2 * f32::from(station) } else { 0.0 };
+            channel.place(station, Vec2::new(radius_m * (cos + farther), radius_m * sin));
         }
     }
 }
@@ -52,7 +67,8 @@ impl Places {
 /// carries them.
 fn mixed(radio: &Radio, seed: u64, mean_s: f64, places: Places) -> Told {
     let stations = 5;
-    let mut channel = Channel::new(radio.clone(), stations, &Seed::of_run(seed));
+    let all_stations = stations + u16::from(matches!(places, Places::Uneven { .. }));
+    let mut channel = Channel::new(radio.clone(), all_stations, &Seed::of_run(seed));
     channel.record_transmissions();
     let mut stand = Seed::of_run(seed).stream("places");
     let mut load = Seed::of_run(seed).stream("load");
@@ -61,12 +77,7 @@ fn mixed(radio: &Radio, seed: u64, mean_s: f64, places: Places) -> Told {
     for number in 0..1500 {
         s += load.random_range(0.0..2.0 * mean_s);
         channel.wake(at_s(s), &mut arrived);
-        if let Some(radius_m) = places.radius_m(&mut stand) {
-            for station in 0..stations {
-                let (sin, cos) = (f32::from(station) * 1.2566).sin_cos();
-                channel.place(station, Vec2::new(radius_m * cos, radius_m * sin));
-            }
-        }
+        places.place(&mut channel, &mut stand);
         let from = load.random_range(0..stations);
         let to = match load.random_range(0..3) {
             0 => Destination::One((from + load.random_range(1..stations)) % stations),
@@ -108,6 +119,27 @@ fn where_all_hear_all_a_channel_with_space_is_the_one_without() {
                     assert_eq!(without.2, with.2, "{what}");
                     assert!(without.3 == with.3, "transmissions, {what}");
                 }
+            }
+        }
+    }
+}
+
+#[test]
+fn stations_with_powers_that_are_close_collide_as_those_do_that_are_not() {
+    let powers = Some(Powers::default());
+    for capture in [false, true] {
+        for channel in [Topology::AdHoc, Topology::Infrastructure] {
+            let radio =
+                Radio { channel, capture, powers: powers.clone(), access_point_m: Some([0.5, 0.0]), ..ad_hoc() };
+            let radio = Radio { access_point_m: radio.access_point_m.filter(|_| channel != Topology::AdHoc), ..radio };
+            for (seed, mean_s) in [(1, 0.006), (2, 0.001), (3, 0.0003)] {
+                // A sixth station says nothing; only where it stands differs.
+                let [near, far] = [1.0, 5000.0].map(|sixth_m| mixed(&radio, seed, mean_s, Places::Uneven { sixth_m }));
+                let what = format!("{channel:?}, capture {capture}, mean {mean_s} s");
+                assert!(near.1.lost_collision > 0 || mean_s > 0.001, "{what}");
+                let differs = near.0.iter().zip(&far.0).find(|(one, other)| one != other);
+                assert_eq!((near.0.len(), near.1, None), (far.0.len(), far.1, differs), "{what}");
+                assert!(near.3 == far.3, "transmissions, {what}");
             }
         }
     }

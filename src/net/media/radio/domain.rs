@@ -44,6 +44,13 @@ impl Domain {
         (self.on_air.is_none() && self.free_at <= now).then_some(self.free_at)
     }
 
+    /// Returns whether several stations begin at `now`, in one slot.
+    pub fn collides_at<T: Clone>(&self, traffic: &Traffic<T>, now: Time) -> bool {
+        let begins =
+            |station: &Station<T>| station.slot().is_some_and(|slot| self.free_at + traffic.times.slot * slot <= now);
+        self.on_air.is_none() && traffic.stations.iter().filter(|station| begins(station)).take(2).count() == 2
+    }
+
     /// Queues a frame at a station; if its queue was empty, schedules its transmission.
     pub fn push<T: Clone>(&self, traffic: &mut Traffic<T>, now: Time, station: usize, frame: QueuedFrame<T>) {
         if !traffic.enqueue(station, frame) {

@@ -113,6 +113,18 @@ impl Links {
         }
     }
 
+    /// Returns the least power \[mW\] of the frames between stations that are at most so far apart; `None` if some of
+    /// them may not be sensed, or if each frame has a power of its own.
+    pub fn least_power(&self, radio: &Radio, squared_m2: f32) -> Option<f64> {
+        let (Some(powers), Some(scale)) = (&radio.powers, self.scale) else {
+            let mut limits = [radio.range_m, radio.sense_m].into_iter().flatten();
+            return limits.all(|limit| squared_m2 <= limit * limit).then_some(EQUAL_POWER);
+        };
+        let fixed = !powers.varies() && (powers.wall_db == 0.0 || self.walls.is_empty());
+        let power = scale.of_path(f64::from(squared_m2), 0);
+        (fixed && scale.is_sensed(power) && scale.matters(power)).then_some(power)
+    }
+
     /// Returns the stations that a transmission of the station `from` reaches, itself among them, without shadowing and
     /// fading.
     pub fn paths(&self, radio: &Radio, positions: &[Option<Vec2>], from: u16) -> Vec<Hearer> {

@@ -55,6 +55,11 @@ impl Thresholds {
         power >= self.detect && power >= self.detect_ratio * self.noise
     }
 
+    /// Returns whether a frame of this power is read for sure, if nothing disturbs it.
+    pub fn is_clear(&self, power: f64) -> bool {
+        self.hears(power) && power >= CLEAR_RATIO * self.noise
+    }
+
     /// Returns how a receiver reads a whole frame that nothing disturbs, from its beginning at `since` to its end at
     /// `now`; `None` if it does not hear it.
     #[inline]
@@ -170,9 +175,12 @@ impl Receiver {
 
     /// Counts the bits of the frame that is read up to `now`, with the noise and the other frames of that time.
     fn count(&mut self, now: Time, thresholds: &Thresholds) {
-        let all = self.power();
+        let others = match &self.reading {
+            None => return,
+            Some(reading) if reading.alone => 0.0,
+            Some(reading) => (self.power() - reading.arrival.power).max(0.0),
+        };
         let Some(reading) = &mut self.reading else { return };
-        let others = if reading.alone { 0.0 } else { (all - reading.arrival.power).max(0.0) };
         let part = now.since(std::mem::replace(&mut reading.counted, now));
         reading.ln_read += thresholds.ln_read(reading.arrival, others, part);
     }

@@ -318,8 +318,9 @@ impl<T: Clone> Field<T> {
         if self.alone != Some(number) {
             self.tell_receivers(number);
         }
-        let mut air = self.airs[number as usize].take().expect("a transmission on the air");
-        for hearer in air.hearers.iter().filter(|hearer| hearer.sensed && hearer.station != air.by) {
+        let air = self.airs[number as usize].as_mut().expect("a transmission on the air");
+        let (by, hearers, mut overlapped) = (air.by, std::mem::take(&mut air.hearers), false);
+        for hearer in hearers.iter().filter(|hearer| hearer.sensed && hearer.station != by) {
             let at = usize::from(hearer.station);
             let view = &mut self.views[at];
             if view.busy == 0 {
@@ -333,11 +334,12 @@ impl<T: Clone> Field<T> {
             }
             view.busy += 1;
             if let Some(other) = view.sending {
-                air.overlapped = true;
+                overlapped = true;
                 self.airs[other as usize].iter_mut().for_each(|other| other.overlapped = true);
             }
         }
-        self.airs[number as usize] = Some(air);
+        let air = self.airs[number as usize].as_mut().expect("a transmission on the air");
+        (air.hearers, air.overlapped) = (hearers, air.overlapped || overlapped);
     }
 
     /// Lets the receivers that a transmission reaches know that it has begun.

@@ -1,4 +1,5 @@
 //! Stations of a field that are so close that all sense and read each other: while they are, the field is one domain.
+//! With powers it is one up to the next instant at which two begin: which frame is read then differs by receiver.
 
 use super::{Field, places};
 use crate::net::media::radio::Adaptation;
@@ -19,7 +20,7 @@ impl<T: Clone> Field<T> {
             self.placed = true;
         }
         match &self.together {
-            Some(together) if !self.close => {
+            Some(together) if !self.close || self.collide(together, traffic, now) => {
                 let Some(free_at) = together.idle_since(now) else { return };
                 self.together = None;
                 self.views.fill(View::new(free_at));
@@ -27,25 +28,34 @@ impl<T: Clone> Field<T> {
             }
             None if self.close => {
                 let Some(free_at) = self.idle_for_all() else { return };
-                self.together = Some(Domain::idle_from(free_at));
+                let together = Domain::idle_from(free_at);
+                if self.collide(&together, traffic, now) {
+                    return;
+                }
+                self.together = Some(together);
                 (0..self.views.len()).for_each(|station| self.turns.set(station, None));
             }
             _ => {}
         }
     }
 
-    /// Returns whether all stations sense and read each other, at one power and at fixed rates.
+    /// Returns whether stations that are close begin at one instant, so that their powers matter.
+    fn collide(&self, together: &Domain, traffic: &Traffic<T>, now: Time) -> bool {
+        traffic.radio.powers.is_some() && together.collides_at(traffic, now)
+    }
+
+    /// Returns whether all stations sense and read each other without doubt, at fixed rates.
     fn are_close(&self, traffic: &Traffic<T>) -> bool {
         let radio = &traffic.radio;
-        if radio.powers.is_some() || radio.adaptation != Adaptation::Fixed {
+        if radio.adaptation != Adaptation::Fixed {
             return false;
         }
         let mut located = self.places.iter().flatten();
-        let Some(first) = located.next() else { return true };
-        let (least, most) = located.fold((*first, *first), |(least, most), at| (least.inf(at), most.sup(at)));
-        let reach_m = [radio.range_m, radio.sense_m].into_iter().flatten().fold(f32::INFINITY, f32::min);
+        let first = located.next().copied().unwrap_or_default();
+        let (least, most) = located.fold((first, first), |(least, most), at| (least.inf(at), most.sup(at)));
         // No two are farther apart than opposite corners of what contains all.
-        (most - least).norm_squared() <= reach_m * reach_m
+        let power = self.links.least_power(radio, (most - least).norm_squared());
+        power.is_some_and(|power| self.thresholds.is_clear(power))
     }
 
     /// Returns the time from which all stations count slots, if nothing is on the air or about to be.
