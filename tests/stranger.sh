@@ -1,13 +1,16 @@
 #!/usr/bin/env bash
 # Builds the crate in tests/stranger/, which uses this one from outside, and runs what it adds through the command line.
 #
-#   bash tests/stranger.sh          a release build, in the same target folder
+#   bash tests/stranger.sh            a release build, in the same target folder
+#   bash tests/stranger.sh dev        one without optimising, which shares what the tests have built
 set -euo pipefail
 cd "$(dirname "$0")/.."
+profile=${1:-release}
+folder=${profile/dev/debug}
 
-cargo build --locked --release --quiet --package stranger
-cargo test --locked --release --quiet --package stranger
-program=${CARGO_TARGET_DIR:-target}/release/stranger
+cargo build --locked --profile "$profile" --quiet --package stranger
+cargo test --locked --profile "$profile" --quiet --package stranger
+program=${CARGO_TARGET_DIR:-target}/$folder/stranger
 
 has() { # TEXT WORD...: refuses a text that lacks one of the words
     local text=$1 word
