@@ -22,6 +22,8 @@ use murmurate::registry::Registry;
 use murmurate::time::Time;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
+use crate::skip::skip;
+
 /// Longest time for a frame to arrive, and the wait for one that should not arrive \[ms\].
 const PATIENCE: u16 = 5000;
 const SURPLUS: u16 = 30;
@@ -179,6 +181,45 @@ fn a_frame_to_one_host_reaches_only_that_host_on_an_addressed_link() {
             assert_eq!(frames(&mut **host, heard).len(), heard, "{}", entry.name);
         }
     }
+}
+
+/// Gives the calling thread a network of its own, with the address 10.99.0.1 on the interface `wire`. Returns whether it
+/// could.
+fn alone_on_a_wire() -> bool {
+    let ip = |args: &str| {
+        let status = std::process::Command::new("ip").args(args.split(' ')).status();
+        status.is_ok_and(|status| status.success())
+    };
+    nix::sched::unshare(nix::sched::CloneFlags::CLONE_NEWNET).is_ok()
+        && ip("link add wire type veth peer name far")
+        && ip("addr add 10.99.0.1/24 dev wire")
+        && ip("link set wire up")
+        && ip("link set far up")
+}
+
+#[test]
+fn what_waits_for_the_addresses_of_silent_hosts_keeps_back_no_other_datagram() {
+    let unsent = std::thread::spawn(|| {
+        if !alone_on_a_wire() {
+            skip("namespaces", "no network of its own for a thread (root and ip)");
+            return 0;
+        }
+        let robots = 9;
+        let peers = (0..robots).map(|robot| format!("peers.robot-{robot} = \"10.99.0.{}:47841\"\n", robot + 1));
+        let text = format!(
+            "team = 1\nmode = \"onboard-infra\"\nrobots = {robots}\nkey_file = \"team.key\"\n[link.infra]\n\
+             transport = \"unicast\"\ninterface = \"wire\"\n{}peers.world = \"10.99.0.99:47841\"\n\
+             [link.wires]\ninterface = \"lo\"\n",
+            peers.collect::<String>()
+        );
+        let file = read(&text).expect("it is sound");
+        let place = file.for_host(HostId(0)).expect("it is sound").links[0].clone().expect("it takes part");
+        let mut transport = place.endpoint.open(HostId(0), Filter::All).expect("it can be opened");
+        // Twenty seconds of states: none of the nine others is there.
+        (0..400).for_each(|_| say(&mut *transport, Audience::All, &[7; 260]));
+        transport.counts().unsent
+    });
+    assert_eq!(unsent.join().expect("the thread ends"), 0);
 }
 
 #[test]

@@ -203,6 +203,21 @@ fn pin(socket: &Socket, ends: &Ends) -> io::Result<()> {
     }
 }
 
+/// Send buffer that is requested for a socket that sends to single hosts \[bytes\]. What is for a host whose address the
+/// kernel asks for in vain stays there for three seconds, up to 212 992 bytes (`unres_qlen_bytes`), and a full buffer
+/// keeps back what others are sent: this is enough for some twenty silent hosts.
+const SEND_BUFFER_BYTES: usize = 1 << 22;
+
+/// Requests the send buffer of a socket that sends to single hosts: beyond `net.core.wmem_max` if the process has the
+/// permission.
+fn widen(socket: &Socket) -> io::Result<()> {
+    #[cfg(target_os = "linux")]
+    if nix::sys::socket::setsockopt(socket, nix::sys::socket::sockopt::SndBufForce, &SEND_BUFFER_BYTES).is_ok() {
+        return Ok(());
+    }
+    socket.set_send_buffer_size(SEND_BUFFER_BYTES)
+}
+
 /// Opens a socket that receives datagrams to `address`, a multicast group or an address of this host, on one network
 /// interface. `buffer_bytes` is the receive buffer requested from the kernel.
 fn receiving_socket(address: SocketAddr, ends: &Ends, buffer_bytes: usize) -> io::Result<Socket> {
@@ -210,6 +225,7 @@ fn receiving_socket(address: SocketAddr, ends: &Ends, buffer_bytes: usize) -> io
     pin(&socket, ends)?;
     socket.set_recv_buffer_size(buffer_bytes)?;
     if !address.ip().is_multicast() {
+        widen(&socket)?;
         socket.bind(&address.into())?;
         return Ok(socket);
     }
