@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 
 use murmurate::messages::ids::RobotId;
+use murmurate::net::media::radio::Radio;
 use murmurate::report::TrialReport;
 use murmurate::results::episode::Episode;
 use murmurate::results::totals::Steps;
@@ -167,5 +168,13 @@ fn stage<'a>(trial: &'a Trial, policy: &str, episode: u32) -> Backdrop<'a> {
         courses: (0..robots).map(|robot| trial.layouts.course(episode, RobotId(robot as u16))).collect(),
         chassis: trial.deployment.team_chassis().to_vec(),
         sweeps: trial.sense_layouts().into_iter().map(|(_, layout)| layout.sweep).collect(),
+        radio: radio(trial),
     }
+}
+
+/// Returns the radio channel with space of a trial in which no host has several robots.
+fn radio(trial: &Trial) -> Option<&Radio> {
+    let alone = trial.deployment.hosts.iter().all(|host| host.agents.concat().len() <= 1);
+    let mut radios = trial.deployment.links.iter().filter_map(|link| link.radio.as_ref());
+    radios.find(|radio| alone && radio.has_space())
 }

@@ -1,10 +1,12 @@
 //! Animation of an episode as an HTML page: `player.html` with the episode's data.
 
+use std::collections::BTreeSet;
+
 use serde_json::{Value, json};
 
-use super::movers;
 use super::scene::{Backdrop, Scan, Scene, SceneFrame};
 use super::sheet::{LOOK, escaped, walls};
+use super::{movers, space};
 use murmurate::messages::geometry::Vec2;
 use murmurate::scenario::course::Course;
 use murmurate::scenario::{Mover, Solid};
@@ -83,6 +85,7 @@ fn json(scene: &Scene, stride: usize) -> String {
         "times": differences(frames.iter().map(|frame| ms(frame.time) as i64)),
         "paths": (0..scene.robots()).map(|robot| path(&frames, robot)).collect::<Vec<_>>(),
         "links": scene.pairs().into_iter().map(|pair| link(&frames, pair, stage.window)).collect::<Vec<_>>(),
+        "sensed": sensed(scene, shown),
         "scans": scans(&frames),
         "success": scene.ending.success,
         "verdict": scene.ending.text,
@@ -138,6 +141,21 @@ fn path(frames: &[&SceneFrame], robot: usize) -> [Vec<i64>; 2] {
         differences(frames.iter().map(|frame| mm(frame.at[robot].x))),
         differences(frames.iter().map(|frame| mm(frame.at[robot].y))),
     ]
+}
+
+/// Returns the pairs of robots that only sense each other: for each, the first frame in which they do, and from there an
+/// `s` or a dot for each frame that is shown.
+fn sensed(scene: &Scene, shown: impl Fn(&(usize, &SceneFrame)) -> bool) -> Vec<Value> {
+    let frames = space::sensed(scene).into_iter().zip(&scene.frames).enumerate();
+    let frames: Vec<_> = frames.filter(|(at, (_, frame))| shown(&(*at, *frame))).map(|(_, (pairs, _))| pairs).collect();
+    let all: BTreeSet<(usize, usize)> = frames.iter().flatten().copied().collect();
+    let letter = |pair: &(usize, usize), frame: &Vec<_>| if frame.contains(pair) { 's' } else { '.' };
+    let of_pair = |pair: (usize, usize)| {
+        let letters: String = frames.iter().map(|frame| letter(&pair, frame)).collect();
+        let begin = letters.find('s').unwrap_or(0);
+        json!([pair.0, pair.1, begin, letters[begin..].trim_end_matches('.')])
+    };
+    all.into_iter().map(of_pair).collect()
 }
 
 /// Returns a pair of robots, the first frame in which one uses a message of the other, and from there one letter per

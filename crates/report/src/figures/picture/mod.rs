@@ -5,6 +5,7 @@ mod movers;
 mod moving;
 mod scene;
 mod sheet;
+mod space;
 mod still;
 
 pub use film::film;

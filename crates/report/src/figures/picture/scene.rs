@@ -7,6 +7,7 @@ use murmurate::messages::geometry::{Task, Vec2};
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::local::Sample;
 use murmurate::messages::wire::Phase;
+use murmurate::net::media::radio::Radio;
 use murmurate::observation::Sweep;
 use murmurate::results::episode::Episode;
 use murmurate::results::sensing::Sensing;
@@ -54,6 +55,8 @@ pub struct Backdrop<'a> {
     pub chassis: Vec<Chassis>,
     /// Directions of the rays of each sense of the robots; `None` for one whose values are no distances.
     pub sweeps: Vec<Option<Sweep>>,
+    /// Radio channel with space on which each robot is a station; `None` without one.
+    pub radio: Option<&'a Radio>,
 }
 
 impl Backdrop<'_> {
@@ -419,6 +422,7 @@ mod tests {
             courses: vec![Course::default(); 2],
             chassis: vec![Chassis::default(); 2],
             sweeps: Vec::new(),
+            radio: None,
         };
         let steps = [
             step(1000, Phase::Resetting, [0.0, 1.0]),
