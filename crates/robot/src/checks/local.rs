@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use murmurate::deploy::Link;
 use murmurate::deploy::team::Team;
 use murmurate::fitness::{Finding, Fitness};
 use murmurate::messages::ids::HostId;
@@ -19,6 +20,7 @@ pub fn check(team: &Team, registry: &Registry) -> Vec<Found> {
     for (link, place) in team.deployment.links.iter().zip(&team.links) {
         if let Some(place) = place {
             found.extend(check_link(team.host, &link.name, place));
+            found.extend(check_wifi(link, place));
         }
     }
     found
@@ -87,6 +89,25 @@ fn check_link(host: HostId, link: &str, place: &Place) -> Vec<Found> {
         (fitness, Subject::Link { link: link.to_owned(), item: what.to_owned() }, found, advice)
     };
     place.endpoint.check(host, link, &mtu).into_iter().map(found).collect()
+}
+
+/// Checks the Wi-Fi card of a link, if its interface is one.
+fn check_wifi(link: &Link, place: &Place) -> Vec<Found> {
+    let Some(interface) = place.endpoint.interface() else { return Vec::new() };
+    let found = |Finding { fitness, what, found, advice }: Finding| {
+        (fitness, Subject::Link { link: link.name.clone(), item: what.to_owned() }, found, advice)
+    };
+    let all = match murmurate_wifi::look(interface) {
+        Ok(None) => return Vec::new(),
+        Ok(Some(card)) => murmurate_wifi::findings(&card, interface, link.medium),
+        Err(error) => vec![Finding {
+            fitness: Fitness::Warn,
+            what: "Wi-Fi",
+            found: format!("the kernel tells nothing of '{interface}': {error}"),
+            advice: format!("see what 'iw dev {interface} info' says"),
+        }],
+    };
+    all.into_iter().map(found).collect()
 }
 
 /// Returns the largest packet of an interface \[bytes\]; `None` if it is unknown.

@@ -6,8 +6,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::case::Addressing;
-use murmurate::net::media::radio::Radio;
 use murmurate::net::media::radio::bianchi::Saturation;
+use murmurate::net::media::radio::{Radio, Topology};
 
 /// Team sizes for which the load of a channel is tabulated.
 pub const SIZES: [usize; 8] = [5, 10, 20, 50, 100, 200, 500, 1000];
@@ -91,9 +91,13 @@ pub fn advice(radio: &Radio, datagram_bytes: usize) -> String {
     let slow = last(radio, Addressing::Multicast);
     let fast = last(&Radio { basic_rate: radio.rate, ..radio.clone() }, Addressing::Multicast);
     let by_unicast = last(radio, Addressing::Unicast);
+    let way = match radio.channel {
+        Topology::AdHoc => "ad hoc: iw's mcast_rate",
+        Topology::Infrastructure => "basic_rates of the access point; ad hoc, iw's mcast_rate",
+    };
     let change = if fast > slow {
         format!(
-            "first raise the rate of multicast frames from {} to {} (iw: mcast_rate), which suffices for {fast}",
+            "first raise the rate of multicast frames from {} to {} ({way}), which suffices for {fast}",
             radio.basic_rate, radio.rate
         )
     } else {
@@ -121,6 +125,8 @@ mod tests {
         assert!(!multicast[0].is_full() && multicast[7].is_full());
         let unicast = Load::of(&radio, Addressing::Unicast, 20, 234);
         assert!((unicast.airtime_relayed / unicast.airtime - 2.0).abs() < 1e-9);
-        assert!(advice(&radio, 234).contains("mcast_rate"));
+        assert!(advice(&radio, 234).contains("basic_rates of the access point"));
+        let ad_hoc = Radio { channel: Topology::AdHoc, ..radio };
+        assert!(advice(&ad_hoc, 234).contains("(ad hoc: iw's mcast_rate)"));
     }
 }
