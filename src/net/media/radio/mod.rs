@@ -3,10 +3,10 @@
 //!
 //! `channel` is the channel that callers see. Its stations (`station`, `traffic`) share a medium: one that all of them
 //! sense (`domain`), or one with space (`field`), in which each has its own view of the medium (`view`) and its own
-//! receiver (`receiver`). `links` and `powers` tell who hears whom how well, and `reading` which frames can be read among
-//! others. `rate` has the airtime of frames, `adaptation` the choice among rates, and `bianchi` a model of saturation. The
-//! code knows no actor, message or clock. Numbers of clauses are those of IEEE 802.11-2016. `docs/radio.md` lists what is not
-//! modelled.
+//! receiver (`receiver`). `links` and `powers` tell who hears whom how well, and `reading` which frames can be read
+//! among others. `rate` has the airtime of frames, `adaptation` the choice among rates, and `bianchi` a model of
+//! saturation. The code knows no actor, message or clock. Numbers of clauses are those of IEEE 802.11-2016.
+//! `docs/radio.md` lists what is not modelled.
 
 mod adaptation;
 pub mod bianchi;
