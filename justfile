@@ -164,6 +164,15 @@ full-python-robots python="python3":
 full-radio:
     cargo test --locked --release --test ns3 -- --nocapture
 
+# Emergency stops across hops under virtual time: 500 in each of ten lines and fields, static and moving (4 minutes)
+full-mesh:
+    MESH_STOPS=500 cargo test --locked --release --test link mesh:: -- --nocapture
+
+# The doctor's checks of Wi-Fi beside Linux with simulated cards in a virtual machine (2 minutes; qemu-system-x86, iw, 70 MB)
+full-wifi:
+    cargo build --locked --release
+    bash tests/peers/wifi/full.sh target/release/murmurate
+
 # Ages and shares of messages of `murmurate.Channel` beside runs of the actors, twelve settings, 1000 to 4000 runs each (25 minutes)
 full-channel:
     MURMURATE_CHANNEL_RUNS=full cargo test --locked --package murmurate-train --test learning channel:: -- --nocapture

@@ -6,6 +6,7 @@
 //! and authentication, `parts` messages that are too large for a datagram, and `rosters` the change of keys.
 
 mod addresses;
+mod mesh;
 mod parts;
 mod rosters;
 
@@ -13,6 +14,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
 
 use self::addresses::Addresses;
+use self::mesh::Mesh;
 use self::parts::Parts;
 use crate::actor::Core;
 use crate::messages::ids::{HostId, LinkId, RobotId};
@@ -127,6 +129,7 @@ pub struct Network {
     key: Option<Key>,
     succession: Succession,
     parts: Option<Parts>,
+    mesh: Option<Mesh>,
     /// Whether the log has said that another robot runs another policy.
     mixed_reported: bool,
 }
@@ -164,6 +167,8 @@ impl Network {
         let shared =
             links.iter().map(|setup| setup.as_ref().is_some_and(|setup| setup.piggyback == Piggyback::Any)).collect();
         let ids = (0..=u16::MAX).map(LinkId);
+        let is_mesh = |setup: &Option<Setup>| setup.as_ref().is_some_and(|setup| setup.mesh && !me.host.is_operator());
+        let meshes = ids.clone().zip(&links).filter(|(_, setup)| is_mesh(setup)).map(|(id, _)| id).collect();
         let hosts = router.hosts();
         // A host may run the agents of all robots.
         let more = parts.map_or(0.0, |parts| parts.datagrams_per_s(router.robots()));
@@ -196,6 +201,7 @@ impl Network {
             succession: Succession::new(key.as_ref()),
             key,
             parts: parts.map(Parts::new),
+            mesh: Mesh::new(meshes),
             mixed_reported: false,
         }
     }
@@ -222,6 +228,7 @@ impl Network {
     fn publish(&mut self, now: Time, message: Wire, out: &mut Vec<Out>) {
         let message = self.signed(message);
         let route = self.router.route(message.kind(), message.robot());
+        self.note_latch(now, self.local_header.sender, &message);
         if self.send(now, route, &message, out) && route.local {
             out.push(Out::Deliver(message));
         }
@@ -286,7 +293,9 @@ impl Network {
             && self.router.route(Kind::Stop, RobotId(0)).local
         {
             out.push(Out::Deliver(Wire::Stop(stop)));
+            self.note_latch(now, stop.by, &Wire::Stop(stop));
         }
+        let state = self.links[at].as_mut().expect("the datagram has come by it");
         if admitted.is_none() && self.is_operator && !self.key_reported && state.counted().key_trouble().is_some() {
             self.key_reported = true;
             out.push(Out::Counts(Box::new(self.counts())));
@@ -313,6 +322,7 @@ impl Network {
                 if !state.accept(now, &header, &message, (body, signature)) {
                     continue;
                 }
+                self.note_latch(now, header.sender, &message);
                 match message {
                     Wire::Latent(part) if part.part.is_some() => self.take_part(now, (link, &header), part, out),
                     message => out.push(Out::Deliver(message)),
@@ -356,7 +366,8 @@ impl Core for Network {
 
     fn wake_at(&self) -> Option<Time> {
         let parts = self.parts.as_ref().and_then(Parts::due);
-        let due = self.due.iter().flatten().copied().chain(self.succession.due()).chain(parts);
+        let mesh = self.mesh.as_ref().and_then(Mesh::due);
+        let due = self.due.iter().flatten().copied().chain(self.succession.due()).chain(parts).chain(mesh);
         Some(due.fold(self.next_counts, Time::min))
     }
 
@@ -375,6 +386,7 @@ impl Core for Network {
         if self.parts.as_ref().and_then(Parts::due).is_some_and(|due| due <= now) {
             self.wake_parts(now, out);
         }
+        self.wake_mesh(now, out);
         if self.succession.due().is_some_and(|due| due <= now) {
             self.go_on_with_roster(now, out);
         }

@@ -1,6 +1,6 @@
 //! Checks of a link of a deployment, and what is emulated on it.
 
-use super::Link;
+use super::{Link, LinkMedium};
 use crate::config::ConfigError;
 use crate::net::media::emulator::Impairment;
 use crate::time::Span;
@@ -20,6 +20,11 @@ impl Link {
         }
         if !(0.0..=60.0).contains(&self.delay_s) {
             return wrong("link.delay_s", format!("{} on '{}' is not 0 to 60 s", self.delay_s, self.name));
+        }
+        if self.mesh && self.medium != LinkMedium::AdHoc {
+            let why =
+                format!("'{}' is no link on which robots hear each other directly: medium = \"ad-hoc\"", self.name);
+            return wrong("link.mesh", why);
         }
         if let Some(range_m) = self.range_m {
             if !(0.0..f32::INFINITY).contains(&range_m) {

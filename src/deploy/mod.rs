@@ -144,6 +144,10 @@ pub struct Link {
     /// Radio channel that the link's frames share under emulation; `None` for a link without contention.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub radio: Option<Radio>,
+    /// Whether not all hosts hear each other on the link, so that they say emergency stops on, whichever link carries
+    /// these.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub mesh: bool,
 }
 
 /// Configuration of a team: hosts with their actors, and links with their kinds of messages.
@@ -460,6 +464,7 @@ mod tests {
         assert!(error(|d| d.hosts[1].name.clear()).starts_with("host.name"));
         assert!(error(|d| d.links[1].carries.push(Kind::Status)).contains("goes where 'stop' goes"));
         assert!(error(|d| d.links[0].impairs.push(Kind::Mode)).starts_with("link.impairs"));
+        assert!(error(|d| d.links[1].mesh = true).starts_with("link.mesh: 'infra' is no link"));
     }
 
     #[test]

@@ -25,6 +25,7 @@ impl Deployment {
             impairs: Vec::new(),
             reliability: Reliabilities::new(),
             range_m: None,
+            mesh: false,
             radio: None,
         };
         let infra = |carries: &[Kind]| link("infra", LinkMedium::AccessPoint, carries);

@@ -72,7 +72,7 @@ fn emulated(link: &Link, routes: &Routes, host: HostId) -> Option<Setup> {
     let lossy = link.loss >= MIN_LOSS && link.impairs.contains(&Kind::Heartbeat);
     let heartbeats = if lossy { Heartbeats::Twice } else { Heartbeats::Once };
     let partakes = link.carries.iter().any(|kind| routes.exchanges(host, *kind));
-    partakes.then(|| Setup { heartbeats, ..Setup::emulated(link.reliability.clone()) })
+    partakes.then(|| Setup { heartbeats, mesh: link.mesh, ..Setup::emulated(link.reliability.clone()) })
 }
 
 /// Actors of a run, held by their mailboxes, through which messages and faults reach them.

@@ -72,7 +72,9 @@ pub(crate) fn setups<'a>(
     deployment: &Deployment,
     places: impl IntoIterator<Item = Option<&'a Place>>,
 ) -> Vec<Option<Setup>> {
-    let setup = |(link, place): (&Link, Option<&Place>)| place.map(|place| place.setup(&link.reliability));
+    let setup = |(link, place): (&Link, Option<&Place>)| {
+        place.map(|place| Setup { mesh: link.mesh, ..place.setup(&link.reliability) })
+    };
     deployment.links.iter().zip(places).map(setup).collect()
 }
 

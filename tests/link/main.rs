@@ -5,6 +5,7 @@ mod confidential;
 mod fuzz_decoders;
 mod fuzz_members;
 mod identity;
+mod mesh;
 mod moved;
 mod parts;
 mod reliability;

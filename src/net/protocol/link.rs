@@ -371,6 +371,13 @@ impl LinkState {
         self.incoming.senders.iter().map(|(id, _)| id).filter(|(host, _)| *host < self.first_guest)
     }
 
+    /// Returns the hosts of the team that are accepted and were heard in the last `within`.
+    pub(crate) fn neighbours(&self, now: Time, within: Span) -> impl Iterator<Item = HostId> {
+        let senders = self.incoming.senders.iter();
+        let near = senders.filter(move |(_, sender)| sender.age(now).is_some_and(|age| age <= within));
+        near.map(|((host, _), _)| host).filter(|host| *host < self.first_guest)
+    }
+
     /// Returns the counters of the link, to be changed.
     pub(crate) fn counts(&mut self) -> &mut LinkCounts {
         &mut self.counts

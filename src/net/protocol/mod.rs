@@ -10,6 +10,7 @@ mod congestion;
 mod control_blocks;
 pub mod counts;
 mod duplicate_id;
+pub(crate) mod flood;
 mod gaps;
 mod incoming;
 pub mod key;

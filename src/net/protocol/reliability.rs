@@ -97,6 +97,8 @@ pub struct Setup {
     /// Number of hosts in the team: ids below it are hosts of the team, all others guests. `None` if unknown: then
     /// every id that is not an operator's may be a host of the team.
     pub hosts: Option<u16>,
+    /// Whether hosts say emergency stops on, so that these cross hops.
+    pub mesh: bool,
 }
 
 /// Limit on the datagrams that a host accepts from each other host on real links: 8000 a second, and as many in a
@@ -117,6 +119,7 @@ impl Setup {
             report_piggyback_age: REPORT_PIGGYBACK_AGE,
             rate: None,
             hosts: None,
+            mesh: false,
         }
     }
 
@@ -125,7 +128,7 @@ impl Setup {
     pub fn multicast(reliability: Reliabilities) -> Setup {
         let (piggyback, reports, report_piggyback_age) = (Piggyback::Any, Reports::On, REPORT_PIGGYBACK_AGE);
         let (heartbeats, rate) = (Heartbeats::TwiceWhileLossy, Some(RATE));
-        Setup { reliability, piggyback, heartbeats, reports, report_piggyback_age, rate, hosts: None }
+        Setup { reliability, piggyback, heartbeats, reports, report_piggyback_age, rate, hosts: None, mesh: false }
     }
 
     /// Returns the setup of a link on which a datagram reaches only the host to which it is addressed: with link
