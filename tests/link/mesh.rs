@@ -14,16 +14,16 @@ use murmurate::net::media::radio::{Channel, Radio, Topology};
 use murmurate::net::protocol::reliability::{Reliabilities, Setup};
 use murmurate::net::protocol::router::{Audience, Route, Router};
 use murmurate::random::{RngExt, Seed, Stream};
-use murmurate::time::Span;
+use murmurate::time::{Span, Time};
 
 /// Range \[m\] in which frames are read, and in which they are sensed.
 const RANGE_M: f32 = 30.0;
 const SENSE_M: f32 = 55.0;
-/// Time between two stops \[ms\]: longer than a stop is said on.
-const APART_MS: u64 = 1500;
-/// Step of time and of positions \[ms\], and number of steps in a period of states.
-const STEP_MS: u64 = 5;
-const STEPS: u64 = 10;
+/// Least time between two stops: longer than a stop is said on.
+const APART: Span = Span::from_millis(1500);
+/// Period of states, and the largest random addition to it.
+const PERIOD: Span = Span::from_millis(50);
+const JITTER: Span = Span::from_millis(1);
 
 /// Hosts of a mesh, and what the medium does.
 #[derive(Clone, Copy, Debug)]
@@ -41,6 +41,7 @@ struct Places {
     at: Vec<Vec2>,
     velocity: Vec<Vec2>,
     side_m: f32,
+    moved: Time,
 }
 
 impl Places {
@@ -59,13 +60,14 @@ impl Places {
             let (sin, cos) = stream.random_range(0.0..std::f32::consts::TAU).sin_cos();
             Vec2::new(cos, sin) * cell.speed_m_s
         });
-        Places { velocity: velocity.collect(), at, side_m }
+        Places { velocity: velocity.collect(), at, side_m, moved: Time::ZERO }
     }
 
-    /// Moves all hosts by a step.
-    fn go_on(&mut self) {
+    /// Moves all hosts to where they are at `now`.
+    fn move_to(&mut self, now: Time) {
+        let passed_s = now.since(std::mem::replace(&mut self.moved, now)).as_secs() as f32;
         for (at, velocity) in self.at.iter_mut().zip(&mut self.velocity) {
-            *at += *velocity * (1e-3 * STEP_MS as f32);
+            *at += *velocity * passed_s;
             for axis in 0..2 {
                 let beyond = at[axis] < 0.0 && velocity[axis] < 0.0 || at[axis] > self.side_m && velocity[axis] > 0.0;
                 velocity[axis] *= if beyond { -1.0 } else { 1.0 };
@@ -99,73 +101,105 @@ fn host(host: u16, hosts: u16) -> Config {
     }
 }
 
-/// What came of stops: of each the time until the last host had it \[ms\], if all had it before the next one; and the
-/// airtime of all with the stops and without \[s\].
-struct Told {
-    complete_ms: Vec<Option<f64>>,
-    airtime_s: [f64; 2],
+/// Hosts on a radio channel that move and send states, each at its own moments.
+struct Team {
+    rig: Rig,
+    places: Places,
+    /// Time of the next state of each host.
+    next: Vec<Time>,
+    stream: Stream,
 }
 
-/// Says so many stops, each by a host that is drawn, between which hosts send their states.
-fn stops(cell: Cell, count: usize) -> Told {
-    let mut stream = Seed::of_run(11).stream("mesh");
-    let mut places = Places::new(cell, &mut stream);
-    let mut rig = Rig::new((0..cell.hosts).map(|index| host(index, cell.hosts)));
-    rig.radio = Some(Channel::new(
-        Radio {
+impl Team {
+    /// Starts the hosts of a cell, and lets them meet.
+    fn new(cell: Cell, configs: impl Iterator<Item = Config>) -> Team {
+        let mut stream = Seed::of_run(11).stream("mesh");
+        let mut rig = Rig::new(configs);
+        let radio = Radio {
             channel: Topology::AdHoc,
             basic_rate: "ofdm-6".parse().expect("a rate of the table"),
             range_m: Some(RANGE_M),
             sense_m: Some(SENSE_M),
             noise_loss: cell.loss,
             ..Radio::default()
-        },
-        cell.hosts,
-        &Seed::of_run(12),
-    ));
-    let (mut complete_ms, mut number, mut step) = (Vec::new(), 0, 0_u64);
-    run(&mut rig, &mut places, &mut step, 3000);
-    let airtime = |rig: &Rig| rig.radio.as_ref().expect("it has one").counts(rig.now).airtime_ns;
-    let before = airtime(&rig);
-    run(&mut rig, &mut places, &mut step, 3000);
-    let without_s = 1e-9 * (airtime(&rig) - before) as f64 / 3.0;
-    let before = airtime(&rig);
-    while complete_ms.len() < count {
-        let connected = is_connected(&places.at);
-        number += 2;
-        let (by, latch, said) = (stream.random_range(0..cell.hosts), Latch::engaged(number), rig.now);
-        rig.delivered.iter_mut().for_each(Vec::clear);
-        rig.publish(usize::from(by), Wire::Stop(Stop { by: HostId(by), latch }));
-        run(&mut rig, &mut places, &mut step, APART_MS + stream.random_range(0..50));
-        if !(connected && is_connected(&places.at)) {
-            continue;
-        }
-        let had = |told: &Vec<(murmurate::time::Time, Wire)>| {
-            told.iter()
-                .find(|(_, message)| matches!(message, Wire::Stop(stop) if stop.latch == latch))
-                .map(|(at, _)| *at)
         };
-        let last: Option<Vec<_>> = rig.delivered.iter().map(had).collect();
-        complete_ms.push(last.map(|all| 1e3 * all.into_iter().max().expect("hosts").since(said).as_secs()));
-        rig.sent.clear();
+        rig.radio = Some(Channel::new(radio, cell.hosts, &Seed::of_run(12)));
+        let next = (0..cell.hosts).map(|_| Time::ZERO + random(&mut stream, PERIOD)).collect();
+        let mut team = Team { rig, places: Places::new(cell, &mut stream), next, stream };
+        team.run(Span::from_millis(3000));
+        team
     }
-    let stopped_s = 1e-9 * (airtime(&rig) - before) as f64 / (number / 2) as f64 / (1e-3 * APART_MS as f64);
-    Told { complete_ms, airtime_s: [stopped_s, without_s] }
+
+    /// Lets hosts send states and move for a time.
+    fn run(&mut self, time: Span) {
+        let end = self.rig.now + time;
+        loop {
+            let (at, host) = self.next.iter().copied().zip(0_u16..).min().expect("there are hosts");
+            self.places.move_to(at.min(end));
+            let radio = self.rig.radio.as_mut().expect("it has one");
+            (0..).zip(&self.places.at).for_each(|(station, at)| radio.place(station, *at));
+            self.rig.run_to(at.min(end));
+            if at > end {
+                return;
+            }
+            self.rig.publish(usize::from(host), latent(host, 1));
+            // No clock ticks as another one, and no scheduler wakes to the microsecond.
+            self.next[usize::from(host)] = at + PERIOD + random(&mut self.stream, JITTER);
+        }
+    }
+
+    /// Says a stop by a host. Returns the time until the last host had it \[ms\], if all had it in time.
+    fn stop(&mut self, by: u16, latch: Latch) -> Option<f64> {
+        let (said, more) = (self.rig.now, random(&mut self.stream, PERIOD));
+        self.rig.delivered.iter_mut().for_each(Vec::clear);
+        self.rig.sent.clear();
+        self.rig.publish(usize::from(by), Wire::Stop(Stop { by: HostId(by), latch }));
+        self.run(APART + more);
+        let is_it = |message: &Wire| matches!(message, Wire::Stop(stop) if stop.latch == latch);
+        let had = |told: &Vec<(Time, Wire)>| told.iter().find(|(_, message)| is_it(message)).map(|(at, _)| *at);
+        let last: Option<Vec<Time>> = self.rig.delivered.iter().map(had).collect();
+        last.and_then(|all| all.into_iter().max()).map(|last| 1e3 * last.since(said).as_secs())
+    }
+
+    /// Returns the time with something on the air so far \[s\].
+    fn airtime_s(&self) -> f64 {
+        1e-9 * self.rig.radio.as_ref().expect("it has one").counts(self.rig.now).airtime_ns as f64
+    }
 }
 
-/// Lets hosts send states and move for a time.
-fn run(rig: &mut Rig, places: &mut Places, step: &mut u64, ms: u64) {
-    for _ in 0..ms / STEP_MS {
-        places.go_on();
-        let radio = rig.radio.as_mut().expect("it has one");
-        (0..).zip(&places.at).for_each(|(station, at)| radio.place(station, *at));
-        for host in (0..places.at.len()).filter(|host| *host as u64 * 7 % STEPS == *step % STEPS) {
-            rig.publish(host, latent(host as u16, *step as u32));
+fn random(stream: &mut Stream, most: Span) -> Span {
+    Span::from_nanos(stream.random_range(0..most.as_nanos()))
+}
+
+/// What came of stops: of each the time until the last host had it \[ms\], if all had it in time; and the share of the
+/// time in which something was on the air, with the stops and without.
+struct Told {
+    complete_ms: Vec<Option<f64>>,
+    airtime: [f64; 2],
+}
+
+/// Says so many stops, each by a host that is drawn, between which hosts send their states.
+fn stops(cell: Cell, count: usize) -> Told {
+    let mut team = Team::new(cell, (0..cell.hosts).map(|index| host(index, cell.hosts)));
+    let before = (team.rig.now, team.airtime_s());
+    team.run(Span::from_millis(3000));
+    let share = |team: &Team, (since, airtime_s): (Time, f64)| {
+        (team.airtime_s() - airtime_s) / team.rig.now.since(since).as_secs()
+    };
+    let (without, before) = (share(&team, before), (team.rig.now, team.airtime_s()));
+    let (mut complete_ms, mut number) = (Vec::new(), 0);
+    while complete_ms.len() < count {
+        let connected = is_connected(&team.places.at);
+        number += 2;
+        let by = team.stream.random_range(0..cell.hosts);
+        let complete = team.stop(by, Latch::engaged(number));
+        // Nothing reaches the other half of a team that has split.
+        if connected && is_connected(&team.places.at) {
+            complete_ms.push(complete);
         }
-        *step += 1;
-        let next = rig.now + Span::from_millis(STEP_MS);
-        rig.run_to(next);
     }
+    let airtime = [share(&team, before), without];
+    Told { complete_ms, airtime }
 }
 
 fn holds(cell: Cell, count: usize) {
@@ -175,7 +209,7 @@ fn holds(cell: Cell, count: usize) {
         100.0 * some.count() as f64 / told.complete_ms.len() as f64
     };
     let longest = told.complete_ms.iter().map(|one| one.unwrap_or(f64::INFINITY)).fold(0.0, f64::max);
-    let [stopped, without] = told.airtime_s.map(|share| 100.0 * share);
+    let [stopped, without] = told.airtime.map(|share| 100.0 * share);
     let (soon, late) = (within(100.0), within(500.0));
     println!(
         "{cell:?}: {count} stops, {soon:.1} % complete in 100 ms, {late:.1} % in 500 ms, longest {longest:.0} ms; \
@@ -209,19 +243,10 @@ fn a_stop_reaches_all_of_a_line_and_of_a_moving_field() {
 
 #[test]
 fn without_a_mesh_a_stop_reaches_the_neighbours_of_its_sender_alone() {
-    let mut rig = Rig::new((0..3).map(|index| {
-        let config = host(index, 3);
-        Config { links: vec![Some(Setup::multicast(Reliabilities::new()))], ..config }
-    }));
-    let radio = Radio { channel: Topology::AdHoc, range_m: Some(RANGE_M), ..Radio::default() };
-    rig.radio = Some(Channel::new(radio, 3, &Seed::of_run(1)));
     let cell = Cell { hosts: 3, loss: 0.0, ..LINE };
-    let mut places = Places::new(cell, &mut Seed::of_run(1).stream("mesh"));
-    let mut step = 0;
-    run(&mut rig, &mut places, &mut step, 3000);
-    rig.delivered.iter_mut().for_each(Vec::clear);
-    rig.publish(0, Wire::Stop(Stop { by: HostId(0), latch: Latch::engaged(1) }));
-    run(&mut rig, &mut places, &mut step, 2000);
-    let has = [0, 1, 2].map(|host: usize| rig.delivered[host].iter().any(|(_, told)| matches!(told, Wire::Stop(_))));
-    assert_eq!(has, [true, true, false]);
+    let one_hop = |index| Config { links: vec![Some(Setup::multicast(Reliabilities::new()))], ..host(index, 3) };
+    let mut team = Team::new(cell, (0..3).map(one_hop));
+    assert_eq!(team.stop(0, Latch::engaged(1)), None);
+    let has = |host: usize| team.rig.delivered[host].iter().any(|(_, told)| matches!(told, Wire::Stop(_)));
+    assert_eq!([0, 1, 2].map(has), [true, true, false]);
 }
