@@ -19,7 +19,7 @@ modules=$(echo kernel/lib/modules/*/kernel)
 
 rm -rf root && mkdir -p root/{bin,proc,sys,dev,tmp,run,etc,usr/sbin,modules}
 cp "$(command -v busybox)" root/bin/
-for tool in sh mount insmod sleep ping poweroff su mkdir cat grep sed; do ln -s busybox root/bin/$tool; done
+for tool in sh mount insmod sleep ping poweroff su mkdir cat grep sed chown tr; do ln -s busybox root/bin/$tool; done
 order=(drivers/virtio/virtio_ring drivers/virtio/virtio lib/crypto/libarc4 net/rfkill/rfkill net/wireless/cfg80211
     net/mac80211/mac80211 drivers/net/wireless/mac80211_hwsim)
 for module in "${order[@]}"; do cp "$modules/$module.ko" root/modules/; done
@@ -38,7 +38,7 @@ echo 'nobody:x:65534:65534:nobody:/:/bin/sh' >root/etc/passwd
     echo 'mount -t proc proc /proc; mount -t sysfs sys /sys; mount -t devtmpfs dev /dev; mount -t tmpfs run /run'
     echo 'cd /modules'
     for module in "${order[@]}"; do echo "insmod $(basename "$module").ko$([[ $module != *hwsim ]] || echo ' radios=3')"; done
-    echo 'ip link set lo up; cd /; sh /inside.sh 2>&1; poweroff -f'
+    echo '/usr/sbin/ip link set lo up; cd /; sh /inside.sh 2>&1; poweroff -f'
 } >root/init
 chmod +x root/init
 (cd root && find . | cpio -o -H newc --quiet | gzip -1) >root.gz
@@ -55,8 +55,9 @@ says() { # PART TEXT...: refuses a part of the output that lacks a text
     done
 }
 says 'no network' 'managed, on no channel' 'iw dev wlan0 set type ibss' 'iw dev wlan0 ibss join NAME'
-says 'ad hoc' "IBSS of 'team' at 2412 MHz" 'power saving: off' 'set mcast_rate 24' '1 heard, the weakest 02:00:00:00:01:00'
-says 'as nobody' "IBSS of 'team' at 2412 MHz" '1 heard'
+says 'power saving' 'frames wait until the card wakes' 'iw dev wlan0 set power_save off'
+says 'ad hoc' "IBSS of 'team' at 2412 MHz" '"found":"off"' 'set mcast_rate 24' '1 heard, the weakest 02:00:00:00:01:00'
+says 'as nobody' "IBSS of 'team' at 2412 MHz" '1 heard' '"fit":true'
 says 'mesh point' 'mesh point at 2412 MHz' 'set mesh_param mesh_fwding 0'
 says 'mesh point that does not forward' 'mesh point at 2412 MHz'
 if sed -n '/^== mesh point that does not forward$/,$p' said.txt | grep -q mesh_fwding; then

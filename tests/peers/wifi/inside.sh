@@ -1,9 +1,16 @@
 # What runs in the virtual machine: cards in each mode, and what the doctor and iw say of them.
-doctor() { murmurate doctor /team.toml --host robot-0 --listen 0; }
+doctor() { murmurate doctor /team.toml --host robot-0 --listen 0 --json | tr '{' '\n' | grep -E 'Wi-Fi|saving|multicast|peers'; }
+# Not that of busybox, which its shell takes first.
+ip() { /usr/sbin/ip "$@"; }
 
+# Any 32 bytes: nothing is sent.
+(umask 077 && echo 00112233445566778899aabbccddeeff00112233445566778899aabbccddeeff >/run/team.key)
 ip link set wlan0 up
 ip addr add 10.5.0.1/24 dev wlan0
 echo '== no network'
+doctor
+echo '== power saving'
+iw dev wlan0 set power_save on
 doctor
 ip link set wlan0 down
 
@@ -11,12 +18,12 @@ ip link set wlan0 down
 mkdir -p /run/netns
 ip netns add other
 iw phy phy1 set netns name other
-there='ip netns exec other'
+there='/usr/sbin/ip netns exec other'
 iw dev wlan0 set type ibss
 ip link set wlan0 up
 $there iw dev wlan1 set type ibss
-$there ip link set wlan1 up
-$there ip addr add 10.5.0.2/24 dev wlan1
+$there /usr/sbin/ip link set wlan1 up
+$there /usr/sbin/ip addr add 10.5.0.2/24 dev wlan1
 join='ibss join team 2412 HT20 fixed-freq 02:11:22:33:44:55 basic-rates 6,12,24 mcast-rate 24'
 iw dev wlan0 $join
 $there iw dev wlan1 $join
@@ -24,8 +31,10 @@ sleep 2
 ping -c 3 -i 0.2 10.5.0.2 >/dev/null
 echo '== ad hoc'
 doctor
+chown 65534 /run/team.key
 echo '== as nobody'
-su nobody -s /bin/sh -c 'murmurate doctor /team.toml --host robot-0 --listen 0'
+su nobody -s /bin/sh -c 'murmurate doctor /team.toml --host robot-0 --listen 0 --json'
+chown 0 /run/team.key
 echo '== iw'
 iw dev wlan0 info
 iw dev wlan0 station dump
