@@ -77,6 +77,7 @@ const DIGESTS: &[&str] = &[
     murmurate_tasks::DIGEST,
     murmurate_train::DIGEST,
     murmurate_view::DIGEST,
+    murmurate_wifi::DIGEST,
     murmurate_zenoh::DIGEST,
     env!("SOURCE_DIGEST"),
 ];

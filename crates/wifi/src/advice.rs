@@ -39,7 +39,7 @@ fn mode(card: &Card, interface: &str, medium: LinkMedium) -> Finding {
     let network = card.network.as_ref().map_or(String::new(), |name| format!(" of '{name}'"));
     let at = card.frequency_mhz.map_or(", on no channel".to_owned(), |mhz| format!(" at {mhz} MHz"));
     let found = format!("{}{network}{at}", card.mode);
-    let joins = |mode: Mode| match mode {
+    let joins = |way: Mode| match way {
         Mode::MeshPoint => {
             format!("iw dev {interface} set type mp; ip link set {interface} up; iw dev {interface} mesh join NAME")
         }

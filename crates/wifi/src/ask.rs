@@ -25,12 +25,10 @@ const MESH_FORWARDING: u16 = 19;
 /// Returns the Wi-Fi card of an interface; `None` if the interface is none. An error says what the kernel did not
 /// answer.
 pub fn look(interface: &str) -> io::Result<Option<Card>> {
-    let folder = Path::new("/sys/class/net").join(interface);
-    if !folder.join("phy80211").exists() {
+    if !Path::new("/sys/class/net").join(interface).join("phy80211").exists() {
         return Ok(None);
     }
-    let index = std::fs::read_to_string(folder.join("ifindex"))?;
-    let index = index.trim().parse().map_err(io::Error::other)?;
+    let index = nix::net::if_::if_nametoindex(interface)?;
     let runtime = Builder::new_current_thread().enable_io().build()?;
     runtime.block_on(ask(index)).map(Some).map_err(io::Error::other)
 }

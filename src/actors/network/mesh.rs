@@ -2,7 +2,6 @@
 
 use super::{Network, Out, Route};
 use crate::messages::ids::{HostId, LinkId};
-use crate::messages::latch::Latch;
 use crate::messages::wire::{Stop, Wire};
 use crate::net::protocol::flood::{Flood, NEIGHBOUR};
 use crate::net::protocol::link::LinkState;
@@ -31,8 +30,16 @@ impl Network {
     /// Takes note of the emergency stop, or its end, in a message of the host `from`.
     pub(super) fn note_latch(&mut self, now: Time, from: HostId, message: &Wire) {
         let Some(mesh) = &mut self.mesh else { return };
-        if let Some(latch) = latch_of(message) {
-            mesh.flood.hear(now, from, latch, &mut self.stream);
+        // Where members have keys of their own, an operator's signature alone ends a stop.
+        let signed = self.key.as_ref().is_some_and(|key| key.signatures().is_some());
+        match message {
+            Wire::Stop(stop) if stop.latch.is_engaged() => {
+                mesh.flood.hear(now, from, stop.latch, &mut self.stream);
+            }
+            Wire::Stop(stop) if stop.by.is_operator() && !signed => mesh.flood.end(stop.latch),
+            Wire::Mode(mode) if !mode.latch.is_engaged() && !signed => mesh.flood.end(mode.latch),
+            Wire::Release(release) => mesh.flood.end(release.latch),
+            _ => {}
         }
     }
 
@@ -47,15 +54,5 @@ impl Network {
             let route = Route { local: false, leaves: Some((link, Audience::All)) };
             self.send(now, route, &Wire::Stop(Stop { by: me, latch }), out);
         }
-    }
-}
-
-/// Returns the latch of a message that engages or ends a stop.
-fn latch_of(message: &Wire) -> Option<Latch> {
-    match message {
-        Wire::Stop(stop) => Some(stop.latch),
-        Wire::Release(release) => Some(release.latch),
-        Wire::Mode(mode) => Some(mode.latch),
-        _ => None,
     }
 }

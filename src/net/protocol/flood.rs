@@ -1,7 +1,8 @@
 //! Emergency stops on a mesh: each host says on what it has heard, so that a stop crosses hops. Pure.
 //!
 //! A host says a stop on in its own name. A stop that engages is believed of any member, so it needs no proof of where
-//! it began, and none who says it on can say more than it could by itself. What ends a stop is not said on.
+//! it began, and none who says it on can say more than it could by itself. What ends a stop is not said on. A stop
+//! whose number is behind what a host knows is said on with the next one, as its actors count it.
 
 use std::collections::BTreeSet;
 use std::collections::VecDeque;
@@ -36,6 +37,8 @@ const RATE: Rate = Rate { per_s: 4.0, burst: 8.0 };
 /// Emergency stops that a host says on.
 #[derive(Clone, Debug)]
 pub(crate) struct Flood {
+    /// Latest latch that is known.
+    latest: Latch,
     newest: Option<Said>,
     /// Stops that were heard, each with the time of the first hearing.
     known: VecDeque<(Time, Latch)>,
@@ -56,28 +59,35 @@ struct Said {
 impl Flood {
     /// Returns the state of a host that has heard no stop.
     pub fn new() -> Flood {
-        Flood { newest: None, known: VecDeque::new(), left: Bucket::full(Time::ZERO, &RATE) }
+        let left = Bucket::full(Time::ZERO, &RATE);
+        Flood { latest: Latch::default(), newest: None, known: VecDeque::new(), left }
     }
 
-    /// Handles that the host `from` says this latch. Random waits are drawn from `stream`.
+    /// Handles that the host `from` says a stop, with this latch. Random waits are drawn from `stream`.
     pub fn hear(&mut self, now: Time, from: HostId, latch: Latch, stream: &mut Stream) {
+        self.latest = self.latest.after(latch, false);
         if let Some(said) = &mut self.newest {
-            if said.latch == latch {
-                said.by.insert(from);
-                return;
-            }
-            if !latch.is_engaged() && said.latch < latch {
-                self.newest = None;
-            }
+            // Of two stops the later one is said on; who has said either stands.
+            said.latch = self.latest;
+            said.by.insert(from);
+            return;
         }
         while self.known.front().is_some_and(|(since, _)| now.since(*since) >= KNOWN) {
             self.known.pop_front();
         }
         let is_known = self.known.iter().any(|(_, known)| *known == latch);
-        if latch.is_engaged() && !is_known && self.left.take(now, &RATE) {
+        if !is_known && self.left.take(now, &RATE) {
             self.known.push_back((now, latch));
             let (due, by) = (now + spread(stream), BTreeSet::from([from]));
-            self.newest = Some(Said { latch, since: now, due, times: 0, by });
+            self.newest = Some(Said { latch: self.latest, since: now, due, times: 0, by });
+        }
+    }
+
+    /// Handles that one who may end a stop says this latch, which does not engage.
+    pub fn end(&mut self, latch: Latch) {
+        self.latest = self.latest.joined(latch);
+        if !self.latest.is_engaged() {
+            self.newest = None;
         }
     }
 
@@ -166,15 +176,27 @@ mod tests {
         let mut host = Host::new();
         host.hear(0, 1, Latch::engaged(1));
         host.run_to(5);
-        host.hear(6, 7, Latch::held(2));
+        host.0.end(Latch::held(2));
         host.hear(7, 1, Latch::engaged(1));
         host.run_to(2000);
         assert_eq!(host.2.len(), 1, "a re-arm has ended it, and it is known");
         host.hear(3100, 7, Latch::engaged(1));
         host.run_to(3105);
         assert_eq!(host.2.len(), 2, "who says it now means it");
-        host.hear(3106, 1, Latch::held(1));
+        host.0.end(Latch::held(1));
         assert!(host.0.due().is_some(), "an earlier hold ends nothing");
+    }
+
+    #[test]
+    fn a_stop_with_a_number_that_is_behind_is_said_on_with_the_next_one() {
+        let mut host = Host::new();
+        host.0.end(Latch::held(5));
+        host.hear(0, 1, Latch::engaged(3));
+        host.0.end(Latch::held(5));
+        let said = host.0.next(at_ms(10), [1].map(HostId).into_iter(), &mut host.1);
+        assert_eq!(said, Some(Latch::engaged(6)), "the hold that was there before does not end it");
+        host.hear(11, 2, Latch::engaged(8));
+        assert_eq!(host.0.newest.as_ref().map(|said| said.latch), Some(Latch::engaged(8)));
     }
 
     #[test]

@@ -203,9 +203,9 @@ fn pin(socket: &Socket, ends: &Ends) -> io::Result<()> {
     }
 }
 
-/// Send buffer that is requested for a socket that sends to single hosts \[bytes\]. What is for a host whose address the
-/// kernel asks for in vain stays there for three seconds, up to 212 992 bytes (`unres_qlen_bytes`), and a full buffer
-/// keeps back what others are sent: this is enough for some twenty silent hosts.
+/// Send buffer that is requested for a socket that sends to single hosts \[bytes\]. What is for a host whose address
+/// the kernel asks for in vain stays there for three seconds, up to 212 992 bytes (`unres_qlen_bytes`), and a full
+/// buffer keeps back what others are sent: this is enough for some twenty silent hosts.
 const SEND_BUFFER_BYTES: usize = 1 << 22;
 
 /// Requests the send buffer of a socket that sends to single hosts: beyond `net.core.wmem_max` if the process has the
