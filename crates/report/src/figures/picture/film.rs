@@ -143,8 +143,8 @@ fn path(frames: &[&SceneFrame], robot: usize) -> [Vec<i64>; 2] {
     ]
 }
 
-/// Returns the pairs of robots that only sense each other: for each, the first frame in which they do, and from there an
-/// `s` or a dot for each frame that is shown.
+/// Returns the pairs of robots that only sense each other: for each, the first frame in which they do, and from there
+/// an `s` or a dot for each frame that is shown.
 fn sensed(scene: &Scene, shown: impl Fn(&(usize, &SceneFrame)) -> bool) -> Vec<Value> {
     let frames = space::sensed(scene).into_iter().zip(&scene.frames).enumerate();
     let frames: Vec<_> = frames.filter(|(at, (_, frame))| shown(&(*at, *frame))).map(|(_, (pairs, _))| pairs).collect();
