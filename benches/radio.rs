@@ -93,9 +93,9 @@ fn field(bencher: Bencher, space: &str) {
     });
 }
 
-/// Teams of eight robots in 1024 environments, which move and multicast 200 bytes 20 times a second for half a second, at
-/// once or each at its own moment: without space, with it by discs in which all hear all and in which some are hidden,
-/// by powers, and by powers with shadowing and fading. An item is a step of one environment.
+/// Teams of eight robots in 1024 environments, which move and multicast 200 bytes 20 times a second for half a second,
+/// at once or each at its own moment: without space, with it by discs in which all hear all and in which some are
+/// hidden, by powers, and by powers with shadowing and fading. An item is a step of one environment.
 #[divan::bench(args = ["without", "discs", "hidden", "powers", "faded"], consts = [0, 5_500_000], sample_count = 10)]
 fn steps<const APART_NS: u64>(bencher: Bencher, space: &str) {
     let (environments, robots, steps) = (1024, 8, 10);

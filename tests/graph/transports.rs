@@ -183,8 +183,8 @@ fn a_frame_to_one_host_reaches_only_that_host_on_an_addressed_link() {
     }
 }
 
-/// Gives the calling thread a network of its own, with the address 10.99.0.1 on the interface `wire`. Returns whether it
-/// could.
+/// Gives the calling thread a network of its own, with the address 10.99.0.1 on the interface `wire`. Returns whether
+/// it could.
 fn alone_on_a_wire() -> bool {
     let ip = |args: &str| {
         let status = std::process::Command::new("ip").args(args.split(' ')).status();

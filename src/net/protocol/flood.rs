@@ -66,9 +66,8 @@ impl Flood {
     /// Handles that the host `from` says a stop, with this latch. Random waits are drawn from `stream`.
     pub fn hear(&mut self, now: Time, from: HostId, latch: Latch, stream: &mut Stream) {
         self.latest = self.latest.after(latch, false);
-        if let Some(said) = &mut self.newest {
-            // Of two stops the later one is said on; who has said either stands.
-            said.latch = self.latest;
+        if let Some(said) = self.newest.as_mut().filter(|said| latch <= said.latch) {
+            // Who says an earlier stop stands as well.
             said.by.insert(from);
             return;
         }
@@ -196,7 +195,8 @@ mod tests {
         let said = host.0.next(at_ms(10), [1].map(HostId).into_iter(), &mut host.1);
         assert_eq!(said, Some(Latch::engaged(6)), "the hold that was there before does not end it");
         host.hear(11, 2, Latch::engaged(8));
-        assert_eq!(host.0.newest.as_ref().map(|said| said.latch), Some(Latch::engaged(8)));
+        let newest = host.0.newest.as_ref().expect("it says one on");
+        assert_eq!((newest.latch, newest.times), (Latch::engaged(8), 0), "a later one is said on from the beginning");
     }
 
     #[test]

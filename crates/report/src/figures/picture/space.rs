@@ -6,8 +6,8 @@ use murmurate::random::Seed;
 
 use super::scene::Scene;
 
-/// Returns for each frame of a scene the pairs of robots, smaller id first, of which none reads the other and one senses
-/// it, by the paths alone. Empty without a channel with space.
+/// Returns for each frame of a scene the pairs of robots, smaller id first, of which none reads the other and one
+/// senses it, by the paths alone. Empty without a channel with space.
 pub fn sensed(scene: &Scene) -> Vec<Vec<(usize, usize)>> {
     let Some(radio) = scene.stage.radio else { return Vec::new() };
     let mut channel = channel(radio, scene);
