@@ -9,8 +9,7 @@ use murmurate::fitness::{Finding, Fitness};
 
 use crate::card::{Card, Mode, Peer};
 
-/// Share of the time from which on a busy channel is warned of: at 60 % each multicast has lost its luck, and unicast
-/// waits.
+/// Share of the time from which on a busy channel is warned of: multicast collides often then, and unicast waits.
 const BUSY: f64 = 0.6;
 /// Share of retries from which on a peer is warned of, and number of frames from which on it is judged.
 const RETRIES: f64 = 0.3;

@@ -70,7 +70,7 @@ pub struct Peer {
     pub address: [u8; 6],
     /// Mean power of what it sends \[dBm\].
     pub signal_dbm: Option<i8>,
-    /// Frames that were sent to it, those that were sent again, and those that were given up.
+    /// Frames that were sent to it.
     pub sent: u32,
     /// Transmissions after the first of a frame.
     pub retries: u32,
