@@ -40,6 +40,11 @@ enum Places {
         /// How far away the sixth is.
         sixth_m: f32,
     },
+    /// Now close and now out of range of each other, and a sixth station on one side. All frames are for all.
+    Parting {
+        /// How far away the sixth is.
+        sixth_m: f32,
+    },
 }
 
 impl Places {
@@ -54,6 +59,10 @@ impl Places {
                 channel.place(5, Vec2::new(sixth_m, 0.0));
                 4.0
             }
+            Places::Parting { sixth_m } => {
+                channel.place(5, Vec2::new(sixth_m, 0.0));
+                if stream.random_bool(0.5) { 0.3 } else { 5.0 }
+            }
         };
         for station in 0..5 {
             let (sin, cos) = (f32::from(station) * 1.2566).sin_cos();
@@ -67,7 +76,7 @@ impl Places {
 /// carries them.
 fn mixed(radio: &Radio, seed: u64, mean_s: f64, places: Places) -> Told {
     let stations = 5;
-    let all_stations = stations + u16::from(matches!(places, Places::Uneven { .. }));
+    let all_stations = stations + u16::from(matches!(places, Places::Uneven { .. } | Places::Parting { .. }));
     let mut channel = Channel::new(radio.clone(), all_stations, &Seed::of_run(seed));
     channel.record_transmissions();
     let mut stand = Seed::of_run(seed).stream("places");
@@ -80,7 +89,9 @@ fn mixed(radio: &Radio, seed: u64, mean_s: f64, places: Places) -> Told {
         places.place(&mut channel, &mut stand);
         let from = load.random_range(0..stations);
         let to = match load.random_range(0..3) {
-            0 => Destination::One((from + load.random_range(1..stations)) % stations),
+            0 if !matches!(places, Places::Parting { .. }) => {
+                Destination::One((from + load.random_range(1..stations)) % stations)
+            }
             _ => Destination::Many(Arc::clone(&all)),
         };
         channel.offer(at_s(s), from, to, load.random_range(20..1400), number);
@@ -142,6 +153,17 @@ fn stations_with_powers_that_are_close_collide_as_those_do_that_are_not() {
                 assert!(near.3 == far.3, "transmissions, {what}");
             }
         }
+    }
+}
+
+#[test]
+fn a_frame_that_stations_hear_as_it_begins_is_read_though_they_part_before_its_end() {
+    let radio = Radio { range_m: Some(1.0), sense_m: Some(1.2), ..ad_hoc() };
+    for (seed, mean_s) in [(1, 0.006), (2, 0.001), (3, 0.0003)] {
+        let [near, far] = [0.1, 5000.0].map(|sixth_m| mixed(&radio, seed, mean_s, Places::Parting { sixth_m }));
+        assert!(near.1.lost_range > 0 && near.1.arrived > 0, "{:?}", near.1);
+        let differs = near.0.iter().zip(&far.0).find(|(one, other)| one != other);
+        assert_eq!((near.0.len(), near.1, None), (far.0.len(), far.1, differs), "mean {mean_s} s");
     }
 }
 

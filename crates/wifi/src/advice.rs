@@ -38,42 +38,43 @@ fn mode(card: &Card, interface: &str, medium: LinkMedium) -> Finding {
     let network = card.network.as_ref().map_or(String::new(), |name| format!(" of '{name}'"));
     let at = card.frequency_mhz.map_or(", on no channel".to_owned(), |mhz| format!(" at {mhz} MHz"));
     let found = format!("{}{network}{at}", card.mode);
-    let joins = |way: Mode| match way {
-        Mode::MeshPoint => {
-            format!("iw dev {interface} set type mp; ip link set {interface} up; iw dev {interface} mesh join NAME")
-        }
-        _ => format!(
-            "iw dev {interface} set type ibss; ip link set {interface} up; iw dev {interface} ibss join NAME 2412 HT20 \
-             fixed-freq basic-rates 6,12,24 mcast-rate 24"
-        ),
-    };
     if medium != LinkMedium::AdHoc {
+        let advice = "connect it (nmcli device wifi connect NAME, or wpa_supplicant)".to_owned();
         return match card.frequency_mhz {
             Some(_) => Finding::ok("Wi-Fi", found),
-            None => warn("Wi-Fi", found, format!("join a network: iw dev {interface} link")),
+            None => warn("Wi-Fi", found, advice),
         };
     }
-    match card.mode {
-        Mode::AdHoc | Mode::MeshPoint | Mode::Outside if card.frequency_mhz.is_some() => Finding::ok("Wi-Fi", found),
-        Mode::AdHoc | Mode::MeshPoint => warn("Wi-Fi", format!("{found}: it is in no network"), joins(card.mode)),
-        _ => {
-            let direct = [Mode::AdHoc, Mode::MeshPoint].into_iter().find(|mode| card.modes.contains(mode));
-            let (why, advice) = match direct {
-                Some(mode) if card.has_beside(mode, Mode::Station) => {
-                    ("frames go through an access point", joins(mode))
-                }
-                // Seen on a Raspberry Pi: raspberrypi/firmware#990.
-                Some(mode) => (
-                    "frames go through an access point, and the card cannot do both at once",
-                    format!("end wpa_supplicant (or give it p2p_disabled=1), then {}", joins(mode)),
-                ),
-                None => {
-                    ("the card can neither IBSS nor mesh point", "use a card with ath9k, ath10k or mt76".to_owned())
-                }
-            };
-            warn("Wi-Fi", format!("{found}: {why}"), advice)
-        }
+    let is_direct = [Mode::AdHoc, Mode::MeshPoint, Mode::Outside].contains(&card.mode);
+    if is_direct && card.frequency_mhz.is_some() {
+        return Finding::ok("Wi-Fi", found);
     }
+    let why = match card.mode {
+        _ if is_direct => "it is in no network",
+        Mode::Station if card.frequency_mhz.is_some() => "frames go through an access point",
+        _ => "robots do not hear each other in this mode",
+    };
+    let direct = [Mode::AdHoc, Mode::MeshPoint].into_iter().find(|mode| card.modes.contains(mode));
+    let (why, advice) = match direct {
+        Some(mode) if is_direct || card.has_beside(mode, Mode::Station) => (why, joins(mode, interface)),
+        // Seen on a Raspberry Pi: raspberrypi/firmware#990.
+        Some(mode) => (why, format!("end wpa_supplicant (or give it p2p_disabled=1), then {}", joins(mode, interface))),
+        None => ("the card knows neither IBSS nor mesh points", "use a card with ath9k, ath10k or mt76".to_owned()),
+    };
+    warn("Wi-Fi", format!("{found}: {why}"), advice)
+}
+
+/// Returns the command by which an interface joins a network in which robots hear each other.
+fn joins(mode: Mode, interface: &str) -> String {
+    let (of, join) = if mode == Mode::MeshPoint {
+        ("mp", "mesh join NAME freq 2412")
+    } else {
+        ("ibss", "ibss join NAME 2412 HT20 fixed-freq basic-rates 6,12,24 mcast-rate 24")
+    };
+    format!(
+        "ip link set {interface} down && iw dev {interface} set type {of} && ip link set {interface} up && iw dev \
+         {interface} {join}"
+    )
 }
 
 fn power_save(card: &Card, interface: &str) -> Option<Finding> {
@@ -192,11 +193,13 @@ mod tests {
     fn a_station_of_an_access_point_is_no_end_of_an_ad_hoc_link() {
         let station = Card { mode: Mode::Station, ..card() };
         let all = of(&station, LinkMedium::AdHoc);
-        assert!(all[0].0 == Fitness::Warn && all[0].3.starts_with("iw dev wlan0 set type ibss"), "{all:?}");
+        assert!(all[0].0 == Fitness::Warn && all[0].3.contains("iw dev wlan0 set type ibss"), "{all:?}");
         let alone = Card { combinations: Vec::new(), ..station.clone() };
         assert!(of(&alone, LinkMedium::AdHoc)[0].3.contains("p2p_disabled"));
         let unable = Card { modes: vec![Mode::Station], ..station.clone() };
         assert!(of(&unable, LinkMedium::AdHoc)[0].2.contains("neither IBSS"));
+        let monitor = Card { mode: Mode::Monitor, ..card() };
+        assert!(of(&monitor, LinkMedium::AdHoc)[0].2.contains("do not hear each other"));
         assert_eq!(of(&station, LinkMedium::AccessPoint)[0].0, Fitness::Ok);
     }
 

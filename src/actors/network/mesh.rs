@@ -36,9 +36,10 @@ impl Network {
             Wire::Stop(stop) if stop.latch.is_engaged() => {
                 mesh.flood.hear(now, from, stop.latch, &mut self.stream);
             }
-            Wire::Stop(stop) if stop.by.is_operator() && !signed => mesh.flood.end(stop.latch),
+            // A resume ends a hold and no stop.
+            Wire::Stop(stop) if stop.latch.is_held() && stop.by.is_operator() && !signed => mesh.flood.end(stop.latch),
+            Wire::Release(release) if release.latch.is_held() => mesh.flood.end(release.latch),
             Wire::Mode(mode) if !mode.latch.is_engaged() && !signed => mesh.flood.end(mode.latch),
-            Wire::Release(release) => mesh.flood.end(release.latch),
             _ => {}
         }
     }

@@ -13,7 +13,7 @@ trap 'kill $(jobs -p) 2>/dev/null || true; "$program" lab down --name mesh >/dev
     printf '[radio]\nchannel = "ad-hoc"\nbasic_rate = "ofdm-6"\nrange_m = 30.0\nsense_m = 55.0\nnoise_loss = 0.05\n'
     for i in 0 1 2 3 4; do printf '[[station]]\nnumber = %s\nposition_m = [%s.0, 0.0]\n' $i $((25 * i)); done
 } > "$work/lab.toml"
-(umask 077 && "$program" key new > /dev/null 2>&1 || true; head -c 32 /dev/urandom | od -An -tx1 | tr -d ' \n' > "$work/team.key"; chmod 600 "$work/team.key")
+"$program" key new --out "$work/team.key" > /dev/null
 {
     printf 'team = 77\nkey_file = "team.key"\nepisodes = 1\n'
     printf '[link.ad-hoc]\ninterface = "wlan0"\ngroup = "239.255.77.61:7761"\n'

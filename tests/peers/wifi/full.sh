@@ -54,7 +54,7 @@ says() { # PART TEXT...: refuses a part of the output that lacks a text
         sed -n "/^== $part\$/,/^== /p" said.txt | grep -qF -- "$text" || { echo "'$part' lacks: $text" >&2 && exit 1; }
     done
 }
-says 'no network' 'managed, on no channel' 'iw dev wlan0 set type ibss' 'iw dev wlan0 ibss join NAME'
+says 'no network' 'managed, on no channel' 'ip link set wlan0 down && iw dev wlan0 set type ibss && ip link set wlan0 up && iw dev wlan0 ibss join NAME'
 says 'power saving' 'frames wait until the card wakes' 'iw dev wlan0 set power_save off'
 says 'ad hoc' "IBSS of 'team' at 2412 MHz" '"found":"off"' 'set mcast_rate 24' '1 heard, the weakest 02:00:00:00:01:00'
 says 'as nobody' "IBSS of 'team' at 2412 MHz" '1 heard' '"fit":true'

@@ -12,20 +12,19 @@ doctor
 echo '== power saving'
 iw dev wlan0 set power_save on
 doctor
-ip link set wlan0 down
 
 # The second card is of another machine: in one network namespace, frames between them would not be on the air.
 mkdir -p /run/netns
 ip netns add other
 iw phy phy1 set netns name other
 there='/usr/sbin/ip netns exec other'
-iw dev wlan0 set type ibss
-ip link set wlan0 up
+# As the doctor says, and with a BSSID: networks of two names would have to find each other first.
+ip link set wlan0 down && iw dev wlan0 set type ibss && ip link set wlan0 up && iw dev wlan0 ibss join team 2412 HT20 \
+    fixed-freq 02:11:22:33:44:55 basic-rates 6,12,24 mcast-rate 24
 $there iw dev wlan1 set type ibss
 $there /usr/sbin/ip link set wlan1 up
 $there /usr/sbin/ip addr add 10.5.0.2/24 dev wlan1
 join='ibss join team 2412 HT20 fixed-freq 02:11:22:33:44:55 basic-rates 6,12,24 mcast-rate 24'
-iw dev wlan0 $join
 $there iw dev wlan1 $join
 sleep 2
 ping -c 3 -i 0.2 10.5.0.2 >/dev/null
@@ -39,10 +38,7 @@ echo '== iw'
 iw dev wlan0 info
 iw dev wlan0 station dump
 
-ip link set wlan0 down
-iw dev wlan0 set type mp
-ip link set wlan0 up
-iw dev wlan0 mesh join team freq 2412
+ip link set wlan0 down && iw dev wlan0 set type mp && ip link set wlan0 up && iw dev wlan0 mesh join team freq 2412
 sleep 1
 echo '== mesh point'
 doctor

@@ -25,17 +25,19 @@ pub(super) struct Domain {
     /// Time from which stations count backoff slots: the medium is idle, and the interframe space after the last frame
     /// is over.
     free_at: Time,
+    /// Whether all stations read each other, wherever they are when a frame ends.
+    reads_all: bool,
 }
 
 impl Domain {
     /// Returns an idle medium at time zero.
     pub fn new<T>(traffic: &Traffic<T>) -> Domain {
-        Domain::idle_from(Time::ZERO + traffic.times.aifs)
+        Domain { reads_all: false, ..Domain::idle_from(Time::ZERO + traffic.times.aifs) }
     }
 
-    /// Returns an idle medium, on which stations count backoff slots from `free_at` on.
+    /// Returns an idle medium of stations that all read each other, which count backoff slots from `free_at` on.
     pub fn idle_from(free_at: Time) -> Domain {
-        Domain { on_air: None, senders: Vec::new(), free_at }
+        Domain { on_air: None, senders: Vec::new(), free_at, reads_all: true }
     }
 
     /// Returns the time from which stations count backoff slots, if they do at `now`: nothing is on the air, and the
@@ -123,9 +125,9 @@ impl Domain {
                     traffic.stations[by].counts.lost_collision += u64::from(frame.hop != Hop::Beacon);
                 } else {
                     idle = traffic.times.aifs;
-                    deliver_multicast(traffic, until, &frame, deliveries);
+                    self.deliver_multicast(traffic, until, &frame, deliveries);
                 }
-            } else if !collided && receives(traffic, &frame) {
+            } else if !collided && self.receives(traffic, &frame) {
                 let acknowledged = traffic.times.acknowledged;
                 taken = taken + acknowledged;
                 traffic.stations[by].counts.airtime_ns += acknowledged.as_nanos();
@@ -143,33 +145,39 @@ impl Domain {
         let time = if own { &mut traffic.counts.airtime_ns } else { &mut traffic.counts.foreign_ns };
         *time += taken.as_nanos();
     }
-}
 
-/// Returns whether the receiver of a unicast frame that did not collide can decode it: it is in range, and no noise
-/// corrupts the frame. True for frames of other networks.
-fn receives<T: Clone>(traffic: &mut Traffic<T>, frame: &QueuedFrame<T>) -> bool {
-    match (frame.hop, &frame.to) {
-        (Hop::Foreign, _) => true,
-        (Hop::Direct, Destination::One(to)) if !traffic.in_range(frame.from, *to) => false,
-        _ => !traffic.lost_to_noise(),
+    /// Returns whether a frame of one station is in the range of another one.
+    fn in_range<T: Clone>(&self, traffic: &Traffic<T>, from: u16, to: u16) -> bool {
+        self.reads_all || traffic.in_range(from, to)
     }
-}
 
-/// Delivers a multicast frame to each receiver, or counts its loss there.
-fn deliver_multicast<T: Clone>(
-    traffic: &mut Traffic<T>,
-    at: Time,
-    frame: &QueuedFrame<T>,
-    deliveries: &mut Vec<Delivery<T>>,
-) {
-    let Destination::Many(listeners) = &frame.to else { unreachable!("a frame for one is unicast") };
-    for &to in listeners.iter().filter(|&&to| to != frame.from) {
-        if frame.hop == Hop::Direct && !traffic.in_range(frame.from, to) {
-            traffic.miss_range(to);
-        } else if traffic.lost_to_noise() {
-            traffic.miss_noise(to);
-        } else {
-            traffic.deliver(at, frame, to, deliveries);
+    /// Returns whether the receiver of a unicast frame that did not collide can decode it: it is in range, and no noise
+    /// corrupts the frame. True for frames of other networks.
+    fn receives<T: Clone>(&self, traffic: &mut Traffic<T>, frame: &QueuedFrame<T>) -> bool {
+        match (frame.hop, &frame.to) {
+            (Hop::Foreign, _) => true,
+            (Hop::Direct, Destination::One(to)) if !self.in_range(traffic, frame.from, *to) => false,
+            _ => !traffic.lost_to_noise(),
+        }
+    }
+
+    /// Delivers a multicast frame to each receiver, or counts its loss there.
+    fn deliver_multicast<T: Clone>(
+        &self,
+        traffic: &mut Traffic<T>,
+        at: Time,
+        frame: &QueuedFrame<T>,
+        deliveries: &mut Vec<Delivery<T>>,
+    ) {
+        let Destination::Many(listeners) = &frame.to else { unreachable!("a frame for one is unicast") };
+        for &to in listeners.iter().filter(|&&to| to != frame.from) {
+            if frame.hop == Hop::Direct && !self.in_range(traffic, frame.from, to) {
+                traffic.miss_range(to);
+            } else if traffic.lost_to_noise() {
+                traffic.miss_noise(to);
+            } else {
+                traffic.deliver(at, frame, to, deliveries);
+            }
         }
     }
 }

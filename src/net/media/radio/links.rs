@@ -129,7 +129,10 @@ impl Links {
     /// fading.
     pub fn paths(&self, radio: &Radio, positions: &[Option<Vec2>], from: u16) -> Vec<Hearer> {
         let mut found = Vec::new();
-        self.find(radio, positions, from, &mut None, &mut found);
+        // What was found for others may be of earlier positions.
+        let known = vec![false; positions.len()];
+        let fresh = Links { known, scale: self.scale, walls: self.walls.clone(), ..Links::default() };
+        fresh.find(radio, positions, from, &mut None, &mut found);
         let hearer = |link: Link| match self.scale {
             Some(scale) if link.hearer.station != from => of_power(scale, link.hearer.station, link.path),
             _ => Some(link.hearer),
@@ -183,8 +186,10 @@ impl Links {
             let turned = |link: Link| Link { hearer: Hearer { station, ..link.hearer }, ..link };
             return found.extend(link.map(turned));
         }
-        let path = ends.map_or(scale.of_path(0.0, 0), |(from, to)| {
-            scale.of_path(f64::from((to - from).norm_squared()), self.crossed(powers, from, to))
+        let path = ends.map_or(scale.of_path(0.0, 0), |(one, other)| {
+            // In one order, so that both ways round alike.
+            let (one, other) = if from < station { (one, other) } else { (other, one) };
+            scale.of_path(f64::from((other - one).norm_squared()), self.crossed(powers, one, other))
         });
         let hearer = if powers.varies() {
             Some(Hearer { station, power: 0.0, sensed: false }).filter(|_| path >= scale.least_path)

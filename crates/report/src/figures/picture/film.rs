@@ -149,7 +149,7 @@ fn sensed(scene: &Scene, shown: impl Fn(&(usize, &SceneFrame)) -> bool) -> Vec<V
     let frames = space::sensed(scene).into_iter().zip(&scene.frames).enumerate();
     let frames: Vec<_> = frames.filter(|(at, (_, frame))| shown(&(*at, *frame))).map(|(_, (pairs, _))| pairs).collect();
     let all: BTreeSet<(usize, usize)> = frames.iter().flatten().copied().collect();
-    let letter = |pair: &(usize, usize), frame: &Vec<_>| if frame.contains(pair) { 's' } else { '.' };
+    let letter = |pair: &(usize, usize), frame: &Vec<_>| if frame.binary_search(pair).is_ok() { 's' } else { '.' };
     let of_pair = |pair: (usize, usize)| {
         let letters: String = frames.iter().map(|frame| letter(&pair, frame)).collect();
         let begin = letters.find('s').unwrap_or(0);

@@ -198,6 +198,7 @@ impl<T: Clone> Field<T> {
     /// Sets the walls that weaken frames.
     pub fn wall_in(&mut self, walls: Vec<Vec<[f32; 2]>>) {
         self.links.wall_in(walls);
+        self.moved();
     }
 
     /// Returns the time of the next event.

@@ -1,5 +1,6 @@
 //! Stations of a field that are so close that all sense and read each other: while they are, the field is one domain.
-//! With powers it is one up to the next instant at which two begin: which frame is read then differs by receiver.
+//! With powers it is one up to the next instant at which two begin: which frame is read then differs by receiver. An
+//! acknowledgement whose stations part while it is on the air is not lost.
 
 use super::{Field, places};
 use crate::net::media::radio::Adaptation;
