@@ -167,8 +167,10 @@ impl Network {
         let shared =
             links.iter().map(|setup| setup.as_ref().is_some_and(|setup| setup.piggyback == Piggyback::Any)).collect();
         let ids = (0..=u16::MAX).map(LinkId);
-        let is_mesh = |setup: &Option<Setup>| setup.as_ref().is_some_and(|setup| setup.mesh && !me.host.is_operator());
+        let is_mesh = |setup: &Option<Setup>| setup.as_ref().is_some_and(|setup| setup.mesh);
+        let server = router.server();
         let meshes = ids.clone().zip(&links).filter(|(_, setup)| is_mesh(setup)).map(|(id, _)| id).collect();
+        let mesh = Mesh::new(me, meshes, server, &mut stream);
         let hosts = router.hosts();
         // A host may run the agents of all robots.
         let more = parts.map_or(0.0, |parts| parts.datagrams_per_s(router.robots()));
@@ -201,14 +203,15 @@ impl Network {
             succession: Succession::new(key.as_ref()),
             key,
             parts: parts.map(Parts::new),
-            mesh: Mesh::new(meshes),
+            mesh,
             mixed_reported: false,
         }
     }
 
     /// Returns the counts of all links of this host together.
     fn counts(&self) -> LinkCounts {
-        self.links.iter().flatten().map(LinkState::counted).chain([self.local_counts]).sum()
+        let entries = self.mesh.as_ref().map(Mesh::counts);
+        self.links.iter().flatten().map(LinkState::counted).chain([self.local_counts]).chain(entries).sum()
     }
 
     fn link(&mut self, link: LinkId) -> Option<&mut LinkState> {
@@ -229,6 +232,7 @@ impl Network {
         let message = self.signed(message);
         let route = self.router.route(message.kind(), message.robot());
         self.note_latch(now, self.local_header.sender, &message);
+        self.say_across_hops(now, &message);
         if self.send(now, route, &message, out) && route.local {
             out.push(Out::Deliver(message));
         }
@@ -237,13 +241,18 @@ impl Network {
     /// Sends a message on the link of its route, if it has one, and gives a copy to the Recorder. Returns whether the
     /// message could be encoded.
     fn send(&mut self, now: Time, route: Route, message: &Wire, out: &mut Vec<Out>) -> bool {
+        let across = message.kind().is_soft() && message.kind().crosses_hops();
         let leaves = route.leaves.filter(|(link, _)| self.link(*link).is_some());
+        // On a mesh it is an entry.
+        let leaves = leaves.filter(|(link, _)| !(across && self.is_mesh(*link)));
         let encoded = match leaves {
             Some((link, audience)) => {
+                self.carry(now, link, message);
                 let state = self.links[usize::from(link.0)].as_mut().expect("this host takes part in the link");
                 let encoded = state.send(now, audience, message, &mut self.outgoing);
                 self.due[usize::from(link.0)] = state.due();
                 transmit(link, &mut self.outgoing, out);
+                self.have_carried(now, link);
                 encoded
             }
             None => codec::encode(&self.local_header, message).inspect(|_| {
@@ -305,6 +314,7 @@ impl Network {
         if !state.lacking().is_empty() {
             self.note_lacking(now, link);
         }
+        self.hear_entries(now, (link, header.sender), &plain, out);
         for (kind, body, signature) in codec::messages(&plain) {
             let state = self.links[at].as_mut().expect("the datagram has come by it");
             let message = match codec::message(kind, body) {
@@ -322,7 +332,7 @@ impl Network {
                 if !state.accept(now, &header, &message, (body, signature)) {
                     continue;
                 }
-                self.note_latch(now, header.sender, &message);
+                self.note_direct(now, header.sender, &message);
                 match message {
                     Wire::Latent(part) if part.part.is_some() => self.take_part(now, (link, &header), part, out),
                     message => out.push(Out::Deliver(message)),
@@ -393,7 +403,8 @@ impl Core for Network {
         if self.next_counts <= now {
             self.tell_roster(out);
             out.push(Out::Counts(Box::new(self.counts())));
-            let peers: Vec<Peer> = self.links.iter().flatten().flat_map(|link| link.peers(now)).collect();
+            let mut peers: Vec<Peer> = self.links.iter().flatten().flat_map(|link| link.peers(now)).collect();
+            self.note_withholders(now, &mut peers);
             if !peers.is_empty() {
                 out.push(Out::Peers(peers));
             }

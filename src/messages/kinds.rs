@@ -25,10 +25,12 @@ struct Row {
     soft: bool,
     with_the_stop: bool,
     signed: bool,
+    across_hops: bool,
 }
 
 const fn row(publisher: Publisher, receiver: Receiver) -> Row {
-    Row { publisher, receiver, and_operators: false, soft: false, with_the_stop: false, signed: false }
+    let (and_operators, soft, with_the_stop, signed, across_hops) = (false, false, false, false, false);
+    Row { publisher, receiver, and_operators, soft, with_the_stop, signed, across_hops }
 }
 
 impl Row {
@@ -50,6 +52,11 @@ impl Row {
     /// It is signed by its publisher where members have keys of their own.
     const fn signed(self) -> Row {
         Row { signed: true, ..self }
+    }
+
+    /// Hosts of a mesh pass it on, as an entry with the proof of its publisher.
+    const fn across_hops(self) -> Row {
+        Row { across_hops: true, ..self }
     }
 }
 
@@ -134,13 +141,13 @@ kinds! {
     /// Velocity command, from a robot's Controller to its Body.
     MotorCommand = row(Publisher::Agent, Receiver::Actuator);
     /// Progress of a robot in the episode, from the robot's Controller to the state server.
-    Heartbeat = row(Publisher::Agent, Receiver::StateServer).soft();
+    Heartbeat = row(Publisher::Agent, Receiver::StateServer).soft().across_hops();
     /// Instruction for the team's episode, from the state server (the team's coordinator) to every host.
-    Mode = row(Publisher::StateServer, Receiver::All).soft().signed();
+    Mode = row(Publisher::StateServer, Receiver::All).soft().signed().across_hops();
     /// Emergency stop, re-arm or resume, from an operator or any host to every host.
     Stop = row(Publisher::Anyone, Receiver::Movers).signed();
     /// Emergency stop states of a host's robots, from the host to operators and the state server.
-    Status = row(Publisher::Member, Receiver::StateServer).and_operators().with_the_stop();
+    Status = row(Publisher::Member, Receiver::StateServer).and_operators().with_the_stop().across_hops();
     /// Request for telemetry, from an observer to every host.
     Observe = row(Publisher::Operator, Receiver::Movers).with_the_stop();
     /// Conditions of a host's robots, from the host to observers.
@@ -151,7 +158,7 @@ kinds! {
     /// operators.
     Located = row(Publisher::Member, Receiver::Movers).and_operators().with_the_stop();
     /// Signed re-arm or resume, from an operator to every host, and repeated by the state server.
-    Release = row(Publisher::Anyone, Receiver::Movers).with_the_stop();
+    Release = row(Publisher::Anyone, Receiver::Movers).with_the_stop().across_hops();
     /// Values of a sense of a robot, such as a scan of its lidar, from the host of its Body to its Cache.
     Sensed = row(Publisher::Actuator, Receiver::Perceiver);
 }
@@ -203,6 +210,11 @@ impl Kind {
     pub fn is_signed(self) -> bool {
         self.row().signed
     }
+
+    /// Whether hosts of a mesh pass messages of this kind on, as entries.
+    pub fn crosses_hops(self) -> bool {
+        self.row().across_hops
+    }
 }
 
 #[cfg(test)]
@@ -238,16 +250,18 @@ mod tests {
     #[test]
     fn the_page_on_the_wire_has_the_table_of_kinds() {
         let mut table = String::from(
-            "| byte | kind | publisher | receivers | soft state | with the stop | signed |\n\
-             |---|---|---|---|---|---|---|\n",
+            "| byte | kind | publisher | receivers | soft state | with the stop | signed | across hops |\n\
+             |---|---|---|---|---|---|---|---|\n",
         );
         for (byte, kind) in KINDS.into_iter().enumerate() {
             let yes = |is: bool| if is { "yes" } else { "" };
             let operators = if kind.is_for_operators() { "; operators" } else { "" };
             let (from, to) = (publisher(kind), receiver(kind));
             let (soft, with) = (yes(kind.is_soft()), yes(kind.follows_the_stop()));
-            let signed = yes(kind.is_signed());
-            table += &format!("| {byte} | `{kind:?}` | {from} | {to}{operators} | {soft} | {with} | {signed} |\n");
+            let (signed, across) = (yes(kind.is_signed()), yes(kind.crosses_hops()));
+            let row =
+                format!("| {byte} | `{kind:?}` | {from} | {to}{operators} | {soft} | {with} | {signed} | {across} |\n");
+            table += &row;
         }
         let page = include_str!("../../docs/wire.md");
         assert!(page.contains(&table), "docs/wire.md needs this table:\n{table}");

@@ -4,6 +4,7 @@ mod abuse;
 mod confidential;
 mod fuzz_decoders;
 mod fuzz_members;
+mod hops;
 mod identity;
 mod mesh;
 mod moved;

@@ -27,13 +27,13 @@ const JITTER: Span = Span::from_millis(1);
 
 /// Hosts of a mesh, and what the medium does.
 #[derive(Clone, Copy, Debug)]
-struct Cell {
+pub struct Cell {
     /// Number of hosts in a line, or in a field.
-    hosts: u16,
-    line: bool,
-    loss: f64,
+    pub hosts: u16,
+    pub line: bool,
+    pub loss: f64,
     /// Speed of all hosts \[m/s\].
-    speed_m_s: f32,
+    pub speed_m_s: f32,
 }
 
 /// Places of hosts that move straight on and are reflected by the edges of their field.
@@ -102,17 +102,17 @@ fn host(host: u16, hosts: u16) -> Config {
 }
 
 /// Hosts on a radio channel that move and send states, each at its own moments.
-struct Team {
-    rig: Rig,
+pub struct Team {
+    pub rig: Rig,
     places: Places,
     /// Time of the next state of each host.
-    next: Vec<Time>,
+    pub next: Vec<Time>,
     stream: Stream,
 }
 
 impl Team {
     /// Starts the hosts of a cell, and lets them meet.
-    fn new(cell: Cell, configs: impl Iterator<Item = Config>) -> Team {
+    pub fn new(cell: Cell, configs: impl Iterator<Item = Config>) -> Team {
         let mut stream = Seed::of_run(11).stream("mesh");
         let mut rig = Rig::new(configs);
         let radio = Radio {
@@ -131,7 +131,7 @@ impl Team {
     }
 
     /// Lets hosts send states and move for a time.
-    fn run(&mut self, time: Span) {
+    pub fn run(&mut self, time: Span) {
         let end = self.rig.now + time;
         loop {
             let (at, host) = self.next.iter().copied().zip(0_u16..).min().expect("there are hosts");
@@ -162,7 +162,7 @@ impl Team {
     }
 
     /// Returns the time with something on the air so far \[s\].
-    fn airtime_s(&self) -> f64 {
+    pub fn airtime_s(&self) -> f64 {
         1e-9 * self.rig.radio.as_ref().expect("it has one").counts(self.rig.now).airtime_ns as f64
     }
 }
@@ -223,8 +223,8 @@ fn asked() -> Option<usize> {
     std::env::var("MESH_STOPS").ok().map(|count| count.parse().expect("MESH_STOPS is a number"))
 }
 
-const LINE: Cell = Cell { hosts: 7, line: true, loss: 0.16, speed_m_s: 0.0 };
-const FIELD: Cell = Cell { hosts: 20, line: false, loss: 0.16, speed_m_s: 1.0 };
+pub const LINE: Cell = Cell { hosts: 7, line: true, loss: 0.16, speed_m_s: 0.0 };
+pub const FIELD: Cell = Cell { hosts: 20, line: false, loss: 0.16, speed_m_s: 1.0 };
 
 #[test]
 fn a_stop_reaches_all_of_a_line_and_of_a_moving_field() {

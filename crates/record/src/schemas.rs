@@ -19,7 +19,7 @@ pub const LINKS: &str = r#"{"title":"murmurate.Links","type":"object","propertie
 "age_s":{"type":["number","null"]},"spacing_s":{"type":"number"},"jitter_s":{"type":"number"},
 "loss":{"type":"number"},"passed":{"type":"integer"},"missing":{"type":"integer"},"told_loss":{"type":"number"},
 "uncertainty_s":{"type":["number","null"]},"round_trip_s":{"type":["number","null"]},
-"twins":{"type":"integer"}}}}},"required":["host","peers"]}"#;
+"twins":{"type":"integer"},"withholds":{"type":"boolean"}}}}},"required":["host","peers"]}"#;
 
 /// JSON schema of messages with the numbers of stops and reduced velocities by a robot's guard, by cause, since its
 /// Controller was started.

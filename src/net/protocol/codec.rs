@@ -120,6 +120,8 @@ pub enum Content {
     Signature,
     /// Parts of messages that have not arrived (`parts`).
     Lacking,
+    /// Soft state of others that the sender passes on (`relay`).
+    Relayed,
     /// Content of a later version, with its byte; it is passed over.
     Other(u8),
 }
@@ -133,6 +135,7 @@ impl Content {
     const ROSTER: u8 = 0x85;
     const SIGNATURE: u8 = 0x86;
     const LACKING: u8 = 0x87;
+    const RELAYED: u8 = 0x88;
 
     fn byte(self) -> u8 {
         match self {
@@ -145,6 +148,7 @@ impl Content {
             Content::Roster => Content::ROSTER,
             Content::Signature => Content::SIGNATURE,
             Content::Lacking => Content::LACKING,
+            Content::Relayed => Content::RELAYED,
             Content::Other(byte) => byte,
         }
     }
@@ -156,6 +160,7 @@ impl Content {
             Content::ROSTER => Content::Roster,
             Content::SIGNATURE => Content::Signature,
             Content::LACKING => Content::Lacking,
+            Content::RELAYED => Content::Relayed,
             Content::ACK => Content::Ack,
             Content::NACK => Content::Nack,
             Content::HELD => Content::Held,

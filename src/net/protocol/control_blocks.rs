@@ -23,7 +23,7 @@ impl ControlBlocks {
         for block in codec::blocks(plain) {
             empty = false;
             match block? {
-                (Content::Message(_) | Content::Signature, _) => {}
+                (Content::Message(_) | Content::Signature | Content::Relayed, _) => {}
                 (Content::Other(_), _) => blocks.skipped += 1,
                 (content @ (Content::Report | Content::NumberedReport), body) => {
                     blocks.report = Some(Report::read(content, body)?);

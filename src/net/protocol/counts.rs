@@ -98,6 +98,14 @@ counts! {
     mixed,
     /// Parts of messages that have not arrived in time, although others of the same message have.
     incomplete,
+    /// Entries of other hosts' soft state that were passed on, on a mesh.
+    passed_on,
+    /// Messages of other hosts that came over hops, and were believed.
+    over_hops,
+    /// Entries of soft state refused: without the proof of their origin, or malformed.
+    forged,
+    /// Entries of soft state refused: their origin made them more than two seconds ago, or nothing shows when.
+    unfresh,
 }
 
 /// Cause for which a datagram is refused without any effect but its count: the state of the link after it is as before.
@@ -211,7 +219,7 @@ impl LinkCounts {
     }
 
     /// Returns the number of datagrams and messages refused or dropped on arrival, for each cause: (name, number).
-    pub fn refusals(&self) -> [(&'static str, u64); 19] {
+    pub fn refusals(&self) -> [(&'static str, u64); 21] {
         [
             ("own", self.own),
             ("auth", self.auth),
@@ -232,6 +240,8 @@ impl LinkCounts {
             ("misrouted", self.misrouted),
             ("unsigned", self.unsigned),
             ("mixed", self.mixed),
+            ("forged", self.forged),
+            ("unfresh", self.unfresh),
         ]
     }
 

@@ -67,6 +67,15 @@ enum Secret {
     Accepted(Arc<BTreeSet<[u8; 16]>>),
 }
 
+impl Secret {
+    fn pair(&self, host: HostId) -> Option<&Bytes> {
+        match self {
+            Secret::Member(member) => member.pairs.get(&host).map(|pair| &pair.bytes),
+            Secret::Team(_) | Secret::Accepted(_) => None,
+        }
+    }
+}
+
 impl Key {
     fn with(secret: Secret) -> Key {
         Key { secret, accepts: Accepts::InClear, signatures: None, membership: None, former: None }
@@ -181,6 +190,18 @@ impl Key {
     /// Returns the keys by which messages are signed and checked; `None` in a team whose members sign nothing.
     pub fn signatures(&self) -> Option<&Signatures> {
         self.signatures.as_deref()
+    }
+
+    /// Returns the key of this process and the member `host` by which tags are made now; `None` without keys of members.
+    pub(super) fn pair(&self, host: HostId) -> Option<&Bytes> {
+        let former = self.former.as_ref().filter(|former| former.seals);
+        former.map_or(&self.secret, |former| &former.secret).pair(host)
+    }
+
+    /// Returns the keys of this process and the member `host` by which tags are accepted.
+    pub(super) fn pairs_with(&self, host: HostId) -> impl Iterator<Item = &Bytes> {
+        let former = self.former.as_ref().map(|former| &former.secret);
+        std::iter::once(&self.secret).chain(former).filter_map(move |secret| secret.pair(host))
     }
 
     /// Creates the key of a team, known to all its members, from its 32 bytes.

@@ -10,6 +10,7 @@ use super::codec::{MAX_FRAME_BYTES, MAX_PLAIN_BYTES, add};
 use super::counts::LinkCounts;
 use super::incoming::{Incoming, Urgency};
 use super::key::Key;
+use super::relay::Block;
 use super::reliability::{Heartbeats, Piggyback, Reliability, Reports, Setup};
 use super::report::{DatagramId, write_held, write_ids};
 use super::report_schedule::Occasion;
@@ -67,6 +68,8 @@ pub struct Outgoing {
     numbered: bool,
     acks: Acks,
     signing: Signing,
+    /// Entries for the next datagram to all hosts.
+    pub(super) carried: Block,
 }
 
 impl Outgoing {
@@ -97,6 +100,7 @@ impl Outgoing {
             numbered,
             acks: Acks::default(),
             signing: Signing::default(),
+            carried: Block::default(),
         }
     }
 
@@ -208,7 +212,7 @@ impl Outgoing {
         let acks = self.setup.piggyback == Piggyback::Any && !self.acks.is_empty();
         let soft = self.soft.has_for(now, audience);
         let report = all && self.may_piggyback_report(now);
-        if !(soft || report || acks) && held.is_empty() {
+        if !(soft || report || acks) && held.is_empty() && !(all && !self.carried.is_empty()) {
             return frame;
         }
         let mut bytes = frame.to_vec();
@@ -216,11 +220,14 @@ impl Outgoing {
             add(&mut bytes, Content::Held, |bytes| write_held(held, bytes));
         }
         self.piggyback(now, audience, &mut bytes, incoming);
+        if all {
+            self.carried.add_to(&mut bytes, self.room);
+        }
         bytes.into()
     }
 
     /// Appends all pending blocks that have the same receivers and fit into the datagram.
-    fn piggyback(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>, incoming: &mut Incoming) {
+    pub(super) fn piggyback(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>, incoming: &mut Incoming) {
         let any = self.setup.piggyback == Piggyback::Any;
         // The loss that others report is only looked at where it matters: that takes a look at all of them.
         let twice = self.soft.has_heartbeat(audience) && self.is_sent_twice(now, audience, incoming);

@@ -118,6 +118,11 @@ impl Router {
         Router { publishers: Some(publishers), ..self }
     }
 
+    /// Returns the host of the state server; host 0 if it is unknown.
+    pub(crate) fn server(&self) -> HostId {
+        self.publishers.as_ref().map_or(HostId(0), |publishers| publishers.server)
+    }
+
     /// Returns the number of hosts in the team; `None` if unknown.
     pub(crate) fn hosts(&self) -> Option<u16> {
         self.publishers.as_ref().and_then(|publishers| u16::try_from(publishers.names.len()).ok())

@@ -218,6 +218,7 @@ impl Sender {
             round_trip_s: offset.map(|offset| offset.round_trip_s),
             duplicate_ids: self.duplicate_ids,
             is_former: false,
+            withholds: false,
         }
     }
 }
@@ -275,4 +276,7 @@ pub struct Peer {
     /// Whether the host speaks the version of the wire format before this one, so that nothing of it is accepted.
     #[serde(rename = "former")]
     pub is_former: bool,
+    /// Whether the host passes nothing on, on a mesh on which it would have had to for seconds.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub withholds: bool,
 }

@@ -116,6 +116,16 @@ fn short_tag(pair: &Bytes, hash: &blake3::Hash) -> [u8; SHORT_TAG_BYTES] {
     tag
 }
 
+/// Returns a short tag of bytes that are no datagram, by the key of a pair.
+pub(super) fn short(pair: &Bytes, bytes: &[u8]) -> [u8; SHORT_TAG_BYTES] {
+    short_tag(pair, &blake3::hash(bytes))
+}
+
+/// Returns whether `tag` is the short tag of bytes that are no datagram, by the key of a pair.
+pub(super) fn is_short(pair: &Bytes, bytes: &[u8], tag: &[u8]) -> bool {
+    tag.len() == SHORT_TAG_BYTES && padded(&short(pair, bytes)) == padded(tag)
+}
+
 /// Returns the keyed hash of a datagram, as [`tag_of`] does, of bytes that cannot be changed.
 fn hash_of(secret: &Bytes, plain: &[u8], associated: Associated) -> blake3::Hash {
     // This allocation is faster than clearing a buffer of the largest size.
