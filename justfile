@@ -164,9 +164,9 @@ full-python-robots python="python3":
 full-radio:
     cargo test --locked --release --test ns3 -- --nocapture
 
-# Emergency stops across hops under virtual time: 500 in each of ten lines and fields, static and moving (4 minutes)
+# Stops and soft state across hops under virtual time: 500 stops, and a minute of soft state, in each of ten lines and fields (5 minutes)
 full-mesh:
-    MESH_STOPS=500 cargo test --locked --release --test link mesh:: -- --nocapture
+    MESH_STOPS=500 MESH_SECONDS=60 cargo test --locked --release --test link mesh:: hops:: -- --nocapture
 
 # The doctor's checks of Wi-Fi beside Linux with simulated cards in a virtual machine (2 minutes; qemu-system-x86, iw, 70 MB)
 full-wifi:

@@ -192,7 +192,7 @@ impl Key {
         self.signatures.as_deref()
     }
 
-    /// Returns the key of this process and the member `host` by which tags are made now; `None` without keys of members.
+    /// Returns the key of this process and the member `host` by which tags are made now; `None` without members' keys.
     pub(super) fn pair(&self, host: HostId) -> Option<&Bytes> {
         let former = self.former.as_ref().filter(|former| former.seals);
         former.map_or(&self.secret, |former| &former.secret).pair(host)

@@ -1,5 +1,6 @@
 //! Protocol between hosts: encoding, authentication, retransmission and routing. Pure.
 
+mod acknowledging;
 mod acks;
 mod belief;
 mod bucket;

@@ -66,7 +66,7 @@ pub struct Outgoing {
     urgent_bucket: Bucket,
     /// Whether report entries contain the number of the next unicast datagram to their host.
     numbered: bool,
-    acks: Acks,
+    pub(super) acks: Acks,
     signing: Signing,
     /// Entries for the next datagram to all hosts.
     pub(super) carried: Block,
@@ -246,18 +246,6 @@ impl Outgoing {
         }
     }
 
-    fn send_acks(&mut self, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
-        while let Some(host) = self.acks.first_host() {
-            let audience = if self.setup.piggyback == Piggyback::Any { Audience::All } else { Audience::Host(host) };
-            let mut bytes = codec::start(&self.header(audience, 0));
-            match audience {
-                Audience::All => self.acks.add_to(&mut bytes, self.room),
-                Audience::Host(host) => self.acks.add_for(host, &mut bytes),
-            }
-            self.send_alone(audience, bytes, counts, out);
-        }
-    }
-
     fn may_piggyback_report(&self, now: Time) -> bool {
         let age = if self.report_pending {
             PENDING_PIGGYBACK_AGE.min(self.setup.report_piggyback_age)
@@ -340,16 +328,6 @@ impl Outgoing {
     fn send_copy(&mut self, (audience, plain): Untagged, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
         out.push((audience, self.seal(&plain, audience, Flags::COPY)));
         counts.copies += 1;
-    }
-
-    /// Schedules the acknowledgement of a datagram that has arrived.
-    pub fn acknowledge(&mut self, now: Time, id: DatagramId) {
-        self.acks.note(now, id);
-    }
-
-    /// Returns whether the acknowledgement of this datagram is pending, or nothing more of its sender can be.
-    pub fn acknowledges(&self, id: &DatagramId) -> bool {
-        self.acks.has(id)
     }
 
     /// Handles acknowledgements that the host `from` has sent for datagrams of this host.

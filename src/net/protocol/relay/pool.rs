@@ -59,8 +59,8 @@ impl Pool {
         true
     }
 
-    /// Takes an entry that the neighbour `from` has said first. One whose proof was checked and is sound takes the place
-    /// of all older ones.
+    /// Takes an entry that the neighbour `from` has said first. One whose proof was checked and is sound takes the
+    /// place of all older ones.
     pub fn put(&mut self, now: Time, (id, from): (EntryId, HostId), order: (u32, u32), entry: &Frame, sound: bool) {
         if self.0.len() >= MOST && !self.0.contains_key(&id) {
             self.0.retain(|_, held| held.iter().any(|held| now.since(held.since) < OLD));
