@@ -164,7 +164,7 @@ full-python-robots python="python3":
 full-radio:
     cargo test --locked --release --test ns3 -- --nocapture
 
-# Stops and soft state across hops under virtual time: 500 stops, and a minute of soft state, in each of ten lines and fields (5 minutes)
+# Stops and soft state across hops under virtual time: 500 stops, a minute of soft state in each of ten fields (5 min)
 full-mesh:
     MESH_STOPS=500 MESH_SECONDS=60 cargo test --locked --release --test link mesh:: hops:: -- --nocapture
 

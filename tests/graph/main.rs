@@ -15,6 +15,7 @@ mod filter;
 mod gpsd;
 mod judged;
 mod liars;
+mod mesh;
 mod movers;
 mod natnet;
 #[cfg(feature = "rigid")]

@@ -114,12 +114,9 @@ impl Network {
         let Some(mesh) = self.mesh.as_mut().filter(|mesh| mesh.links.contains(&link)) else { return };
         let found = codec::blocks(plain).flatten().find(|(content, _)| *content == Content::Relayed);
         let block = found.map(|(_, body)| Block::read(body)).unwrap_or_default();
-        let heard = mesh.relay.hear(now, from, &block, self.key.as_ref());
-        for (origin, message) in heard {
-            if let Some(name) = self.router.forbids(origin, &message) {
-                self.unauthorized.note(&name, &message);
-                continue;
-            }
+        let (router, key) = (&self.router, self.key.as_ref());
+        let permits = |origin, message: &Wire| router.forbids(origin, message).is_none();
+        for (origin, message) in mesh.relay.hear(now, from, &block, key, permits) {
             self.note_latch(now, origin, &message);
             if self.router.route(message.kind(), message.robot()).local {
                 out.push(Out::Deliver(message));

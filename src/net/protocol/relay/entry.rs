@@ -146,14 +146,14 @@ impl Block {
         self.entries.is_empty() && !self.lacks
     }
 
-    /// Appends a block with the first entries that fit into a datagram of at most `most` bytes, and drops the others.
+    /// Appends a block with the entries that fit into a datagram of at most `most` bytes, and drops the others.
     pub(crate) fn add_to(&mut self, bytes: &mut Vec<u8>, most: usize) {
         let mut left = most.saturating_sub(bytes.len() + BLOCK_BYTES + 1);
-        let mut taken = 0;
-        while let Some(entry) = self.entries.get(taken).filter(|entry| entry.len() <= left) {
-            (left, taken) = (left - entry.len(), taken + 1);
-        }
-        self.entries.truncate(taken);
+        self.entries.retain(|entry| {
+            let fits = entry.len() <= left;
+            left -= if fits { entry.len() } else { 0 };
+            fits
+        });
         if self.is_empty() || bytes.len() + BLOCK_BYTES + 1 > most {
             return;
         }

@@ -38,6 +38,8 @@ use crate::time::{Span, Time};
 /// Largest number of entries in a datagram, and of bytes that these take: a third of what a datagram has room for.
 const MOST_ENTRIES: usize = 10;
 const MOST_BYTES: usize = 420;
+/// Number of robots beyond which none is the first of an instruction.
+const MOST_ROBOTS: usize = 1024;
 /// Longest time that an entry waits for a datagram with data.
 const WAIT: Span = Span::from_millis(100);
 /// Time since a message has arrived from its publisher itself during which what others pass on of it is not read: the
@@ -140,10 +142,9 @@ impl Relay {
             });
         }
         own.unsaid().for_each(|entry| _ = fits(entry));
-        for (_, layout) in layouts.iter().filter(|(_, layout)| layout.is_due(now)) {
-            _ = fits(&layout.entry(*me));
-        }
         pool.unsaid(now).iter().for_each(|entry| _ = fits(entry));
+        // That of a large team takes most of a datagram. What has no room beside data leaves in one of its own.
+        entries.extend(layouts.values().filter(|layout| layout.is_due(now)).map(|layout| layout.entry(*me)));
         let lacks = self.lacks();
         Block { lacks, entries }
     }
@@ -182,9 +183,16 @@ impl Relay {
         self.named.iter().any(|(first, digest)| self.layouts.get(first).is_none_or(|known| known.digest != *digest))
     }
 
-    /// Takes the entries in a datagram of the neighbour `from`, an accepted host. Returns the messages that are
-    /// believed, each with its origin.
-    pub fn hear(&mut self, now: Time, from: HostId, block: &Block, key: Option<&Key>) -> Vec<(HostId, Wire)> {
+    /// Takes the entries in a datagram of the neighbour `from`, an accepted host. `permits` says whether a host may
+    /// publish a message. Returns the messages that are believed, each with its origin.
+    pub fn hear(
+        &mut self,
+        now: Time,
+        from: HostId,
+        block: &Block,
+        key: Option<&Key>,
+        permits: impl Fn(HostId, &Wire) -> bool,
+    ) -> Vec<(HostId, Wire)> {
         if block.lacks {
             self.layouts.values_mut().for_each(Layout::asked);
         }
@@ -192,14 +200,21 @@ impl Relay {
         if !from.is_operator() {
             self.withholding.note_heard(now, from, block.entries.iter().any(passes));
         }
-        let heard = block.entries.iter().filter_map(|entry| self.hear_one(now, from, entry, key)).collect();
+        let heard = block.entries.iter().filter_map(|entry| self.hear_one(now, from, entry, key, &permits)).collect();
         if self.waits.is_none() && self.has_unsaid(now) {
             self.waits = Some(now);
         }
         heard
     }
 
-    fn hear_one(&mut self, now: Time, from: HostId, bytes: &Frame, key: Option<&Key>) -> Option<(HostId, Wire)> {
+    fn hear_one(
+        &mut self,
+        now: Time,
+        from: HostId,
+        bytes: &Frame,
+        key: Option<&Key>,
+        permits: &impl Fn(HostId, &Wire) -> bool,
+    ) -> Option<(HostId, Wire)> {
         let Some((entry, body, proof)) = Entry::read(bytes) else {
             self.counts.forged += 1;
             return None;
@@ -214,6 +229,14 @@ impl Relay {
             self.counts.forged += 1;
             return None;
         };
+        let is_permitted = match &said {
+            Said::Message(message) => permits(entry.origin, message),
+            Said::Lead(lead) => entry.origin == self.server && lead.first.index() < MOST_ROBOTS,
+        };
+        if !is_permitted {
+            self.counts.misrouted += 1;
+            return None;
+        }
         let id = (entry.origin, entry.content, said.robot());
         if self.pool.heard(from, id, bytes) {
             return None;
@@ -261,6 +284,9 @@ impl Relay {
             Content::Message(Kind::Status) => leads,
             Content::Message(_) | Content::Layout => false,
         };
+        if entry.content == Content::Message(Kind::Heartbeat) && !leads {
+            return None;
+        }
         if needs && !self.echoes.is_fresh(now, entry, self.me.host) {
             self.counts.unfresh += 1;
             return None;

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use super::entry::EntryId;
+use super::entry::{Content, EntryId};
 use super::own::TIMES;
 use crate::messages::ids::HostId;
 use crate::net::protocol::codec::Frame;
@@ -80,7 +80,7 @@ impl Pool {
         held.push(Held { entry: Frame::clone(entry), order, from, since: now, heard: 1, said: 0 });
     }
 
-    /// Returns the entries that are to be said at `now`, the newest first.
+    /// Returns the entries that are to be said at `now`: what the state server says, on which all wait, then the newest.
     pub fn unsaid(&self, now: Time) -> Vec<Frame> {
         let mut all: Vec<(Time, &EntryId, &Frame)> = Vec::new();
         for (id, held) in &self.0 {
@@ -92,7 +92,8 @@ impl Pool {
                 }
             }
         }
-        all.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(b.1)));
+        let leads = |id: &EntryId| id.1 == Content::Lead;
+        all.sort_by(|a, b| leads(b.1).cmp(&leads(a.1)).then(b.0.cmp(&a.0)).then(a.1.cmp(b.1)));
         all.into_iter().map(|(.., entry)| Frame::clone(entry)).collect()
     }
 

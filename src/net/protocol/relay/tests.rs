@@ -48,7 +48,7 @@ impl Host {
     }
 
     fn hears(&mut self, ms: u64, from: HostId, block: &Block) -> Vec<(HostId, Wire)> {
-        self.0.hear(at_ms(ms), from, block, Some(&self.1))
+        self.0.hear(at_ms(ms), from, block, Some(&self.1), |_, _| true)
     }
 }
 
