@@ -396,6 +396,7 @@ fn nothing_asks_for_a_mode_or_a_link_by_name() {
             &[
                 presets,
                 "crates/study/src/columns.rs",
+                "crates/study/src/commbench/matrix.rs",
                 "crates/study/src/published.rs",
                 "crates/study/src/network/growth.rs",
                 // Defaults of flags.

@@ -13,7 +13,7 @@ from ._executors import Executor, run_all
 from ._program import report, words_of
 
 #: Studies of the program that consist of trials, which can be divided.
-_OF_TRIALS = ("modes", "delay", "range", "sweep")
+_OF_TRIALS = ("modes", "delay", "range", "sweep", "commbench")
 #: Parts for each worker: a worker that is killed loses a part, and the last ones end at about the same time.
 _PARTS = 4
 
@@ -25,7 +25,8 @@ class Study:
     Attributes:
         study: Name of the study.
         rows: One dictionary for each column, policy and handling (``network``: for each case; ``twin``: for each
-            compared quantity; ``sweep``: for each point, with its values in ``at``), with the fields of
+            compared quantity; ``sweep``: for each point, with its values in ``at``; ``commbench``: for each policy in each
+            cell, with the verdicts in ``report["comparisons"]``), with the fields of
             ``murmurate study ... --json``.
         report: Everything that ``murmurate study ... --json`` prints.
     """
@@ -42,7 +43,7 @@ class Study:
 
 
 def study(
-    study: Literal["modes", "delay", "range", "sweep", "network", "twin"],
+    study: Literal["modes", "delay", "range", "sweep", "commbench", "network", "twin"],
     *records: str | os.PathLike[str],
     out: str | os.PathLike[str] | None = None,
     executor: Executor | None = None,

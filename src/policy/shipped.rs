@@ -15,6 +15,9 @@ pub fn built_in(name: &str, scenario: &str) -> Option<&'static [u8]> {
     match (name, scenario) {
         ("shipped" | "any-size", "passage") => Some(PASSAGE),
         ("shipped" | "any-size", "swap") => Some(SWAP),
+        ("shipped", "four-rooms") => Some(include_bytes!("../../policies/four-rooms.safetensors")),
+        ("shipped", "navigation") => Some(include_bytes!("../../policies/navigation.safetensors")),
+        ("shipped", "coverage") => Some(include_bytes!("../../policies/coverage.safetensors")),
         ("shipped", "flocking") => Some(include_bytes!("../../policies/flocking-k3.safetensors")),
         ("robust", "passage") => Some(include_bytes!("../../policies/passage.safetensors")),
         ("published", "passage") => Some(include_bytes!("../../policies/passage-published.safetensors")),

@@ -15,6 +15,7 @@ mod roles;
 mod shells;
 mod sizes;
 mod study;
+mod study_commbench;
 mod study_network;
 mod study_sweep;
 mod task_files;

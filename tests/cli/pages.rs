@@ -283,6 +283,10 @@ impl Args {
                 let one = self.with("--rates", "60").with("--retries", "1").with("--teams", "none");
                 one.with("--seconds", "1").quiet()
             }
+            ("study", Some("commbench")) => {
+                let few = self.with("--tasks", "passage").with("--channels", "iid-30");
+                few.with("--episodes", "1").quiet()
+            }
             ("study", Some("sweep")) => self.with("--episodes", "1").with("--repeats", "1").quiet(),
             ("study", _) => self.with("--layouts", "1").with("--repeats", "1").quiet(),
             ("train", _) if self.has("--print-config") => self,

@@ -9,6 +9,7 @@
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod columns;
+pub mod commbench;
 pub mod conditions;
 pub mod handling;
 pub mod network;

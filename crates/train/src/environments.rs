@@ -116,6 +116,10 @@ pub struct Environments {
     near: Vec<f32>,
 }
 
+/// Number of layouts of a seed that trainings take: their numbers are below it. Episodes with even and odd numbers
+/// start on different sides of the arena. Layouts with this and larger numbers are for judging what was trained.
+pub const LAYOUT_NUMBERS: u32 = 2;
+
 /// Draws the conditions of the next episode of a team of `robots` robots from `stream`, and then the seed and the
 /// episode number of its layout.
 pub(super) fn next_episode(
@@ -124,8 +128,7 @@ pub(super) fn next_episode(
     stream: &mut Stream,
 ) -> (EpisodeConditions, (u64, u32)) {
     let episode = EpisodeConditions::draw(conditions, robots, stream);
-    // Episodes with even and odd numbers start on different sides of the arena.
-    (episode, (stream.next_u64(), stream.random_range(0..2)))
+    (episode, (stream.next_u64(), stream.random_range(0..LAYOUT_NUMBERS)))
 }
 
 impl Environments {

@@ -2,11 +2,12 @@
 //!
 //! `fields` and `shapes` have what may be written, `areas`, `places` and `waypoints` the starts, the goals and what is
 //! passed between them, `movers` the obstacles that move, `doors` the bottlenecks that it finds, `ways` the lengths of
-//! paths, `behaviour` what a caller adds to a file. A file is read where the program reads files; this code gets its
-//! text.
+//! paths, `behaviour` what a caller adds to a file, `built_in` the files that need no reading. A file is read where the
+//! program reads files; this code gets its text.
 
 mod areas;
 mod behaviour;
+mod built_in;
 mod doors;
 mod fields;
 mod movers;
@@ -19,6 +20,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 
 pub use behaviour::{Behaviour, EpisodeStep};
+pub use built_in::BUILT_IN;
 use rand::RngExt;
 
 use self::areas::least_m;

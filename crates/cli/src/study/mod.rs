@@ -1,6 +1,7 @@
 //! The command `murmurate study`: flags, threads, time and files of the studies. The studies themselves are in other
 //! modules of the library.
 
+mod commbench;
 mod flags;
 mod folder;
 mod network;
@@ -47,6 +48,8 @@ pub enum Args {
     Range(Box<flags::Range>),
     /// Simulations over the values of one or two flags of 'sim', or of fields in its files
     Sweep(Box<sweep::Args>),
+    /// The benchmark of communication: tasks, channels and policies, compared in pairs
+    Commbench(Box<commbench::Args>),
     /// Delivery of a team's messages by addressing, reliability and message rate
     Network(Box<network::Args>),
     /// A model of a recorded run: fitted to half of its episodes, compared with the other half
@@ -73,6 +76,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         Args::Delay(flags) => (flags.study(registry)?, &flags.shared),
         Args::Range(flags) => (flags.study(registry)?, &flags.shared),
         Args::Sweep(flags) => return sweep::run(flags, registry),
+        Args::Commbench(flags) => return commbench::run(flags, registry),
         Args::Network(flags) => return network::run(flags, registry),
         Args::Twin(flags) => return twin::run(flags, registry),
     };
@@ -122,7 +126,7 @@ pub fn of_record(arguments: &[String], (job, repeat): (StudyJob, u32), registry:
         Args::Modes(flags) => flags.study(registry)?,
         Args::Delay(flags) => flags.study(registry)?,
         Args::Range(flags) => flags.study(registry)?,
-        Args::Sweep(_) | Args::Network(_) | Args::Twin(_) => {
+        Args::Sweep(_) | Args::Commbench(_) | Args::Network(_) | Args::Twin(_) => {
             return Err(wrong("this study records nothing".to_owned()).into());
         }
     };

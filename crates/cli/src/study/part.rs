@@ -1,8 +1,10 @@
-//! The end of one part of a study, which the flag `--shard` selects.
+//! The jobs of a study: runs those that are left, in this process or in the part that the flag `--shard` selects.
 
 use std::collections::BTreeSet;
+use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result};
+use indicatif::ProgressBar;
 use murmurate::config::shown::counted;
 use murmurate_robot::Ended;
 use murmurate_robot::output::{print, talk};
@@ -11,6 +13,8 @@ use serde::Serialize;
 use super::folder::Folder;
 use super::run::Run;
 use super::shard::Shard;
+use crate::jobs;
+use crate::progress::progress;
 
 /// Output with `--json` of one part of a study.
 #[derive(Serialize)]
@@ -50,4 +54,26 @@ pub fn is_done<J: Copy + Ord>(
         ));
     }
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+}
+
+/// Returns the records of all `jobs` of a study, in order: those that were `found`, one entry a job, and those that
+/// `work` gives for the others, or for those of the part `shard`. After Ctrl-C, or with a part, some are missing.
+/// `noun` is the word for a job, and `episodes` returns how many episodes it has, for the progress bar.
+pub fn finish<J: Copy + Sync, R: Send>(
+    (jobs, found): (Vec<J>, Vec<Option<R>>),
+    (run, shard): (&Run, Option<Shard>),
+    (noun, episodes): (&str, impl Fn(J) -> u64),
+    stop: &AtomicBool,
+    work: impl Fn(J, &ProgressBar) -> Result<Option<R>> + Sync,
+) -> Result<Vec<(J, R)>> {
+    let mine = |at: &usize| shard.is_none_or(|shard| shard.has(*at));
+    let left: Vec<usize> = (0..jobs.len()).filter(|at| found[*at].is_none()).filter(mine).collect();
+    let bar = progress(left.iter().map(|at| episodes(jobs[*at])).sum(), run.quiet);
+    let there = found.iter().flatten().count();
+    if there > 0 && !run.quiet {
+        talk(&format!("finished already: {there} of {}", counted(jobs.len(), noun)));
+    }
+    let records = jobs::finish((found, left), run.jobs, stop, |at| work(jobs[at], &bar))?;
+    bar.finish_and_clear();
+    Ok(jobs.into_iter().zip(records).filter_map(|(job, record)| Some((job, record?))).collect())
 }

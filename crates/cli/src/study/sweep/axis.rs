@@ -30,7 +30,10 @@ impl FromStr for GivenAxis {
         let wrong = || format!("'{text}' is not NAME=VALUE,VALUE,..., such as robots=6,8,10");
         let (name, values) = text.split_once('=').ok_or_else(wrong)?;
         let name = name.trim_start_matches("--").trim();
-        let place = place(name)?;
+        if NO_AXES.contains(&name) {
+            return Err(format!("{name} is no axis: points are compared on equal numbers of episodes"));
+        }
+        let place = place_of(name)?;
         if values.contains(char::is_control) {
             return Err(format!("{name}: a value has a control character"));
         }
@@ -52,23 +55,23 @@ impl FromStr for GivenAxis {
     }
 }
 
-fn place(name: &str) -> Result<Place, String> {
-    if let Some((flag, field)) = name.split_once('.') {
-        let field: Vec<String> = field.split('.').map(str::to_owned).collect();
-        if !FILES.contains(&flag) || field.iter().any(String::is_empty) {
-            let files = FILES.map(|flag| format!("{flag}.FIELD")).join(", ");
-            return Err(format!("there is no '{name}'; fields of files are {files}"));
+/// Returns the quantity of an axis with this name.
+fn place_of(name: &str) -> Result<Place, String> {
+    let place = Place::of(name);
+    match &place {
+        Place::Field { flag, field } => {
+            if !FILES.contains(&flag.as_str()) || field.iter().any(String::is_empty) {
+                let files = FILES.map(|flag| format!("{flag}.FIELD")).join(", ");
+                return Err(format!("there is no '{name}'; fields of files are {files}"));
+            }
         }
-        return Ok(Place::Field { flag: flag.to_owned(), field });
+        Place::Flag(_) if !Given::exists(name) => {
+            let names = Given::names().into_iter().filter(|name| !NO_AXES.contains(&name.as_str()));
+            return Err(format!("sim has no flag '--{name}'; there are: {}", names.collect::<Vec<_>>().join(", ")));
+        }
+        Place::Flag(_) => {}
     }
-    if NO_AXES.contains(&name) {
-        return Err(format!("{name} is no axis: points are compared on equal numbers of episodes"));
-    }
-    if !Given::exists(name) {
-        let names = Given::names().into_iter().filter(|name| !NO_AXES.contains(&name.as_str()));
-        return Err(format!("sim has no flag '--{name}'; there are: {}", names.collect::<Vec<_>>().join(", ")));
-    }
-    Ok(Place::Flag(name.to_owned()))
+    Ok(place)
 }
 
 /// Splits values at the commas outside of brackets and quotes; `None` if one of these is left open.

@@ -25,6 +25,11 @@ fn command() -> Command {
 }
 
 impl Given {
+    /// Returns no flags: what holds at a point is of the point alone.
+    pub fn none() -> Given {
+        Given { words: Vec::new() }
+    }
+
     /// Returns whether the flag `flag` (without `--`) is given.
     pub fn has(&self, flag: &str) -> bool {
         self.words.iter().any(|(name, _)| name == flag)

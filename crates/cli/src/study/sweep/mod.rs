@@ -3,8 +3,8 @@
 
 mod axis;
 mod files;
-mod given;
-mod place;
+pub(super) mod given;
+pub(super) mod place;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -13,6 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::{Context, Result};
+use indicatif::ProgressBar;
 use murmurate::config::shown::counted;
 use murmurate::registry::Registry;
 use murmurate::trial::Trial;
@@ -25,8 +26,7 @@ use super::folder::Folder;
 use super::part;
 use super::run::{CommandLine, Run};
 use super::shard::Shard;
-use crate::jobs;
-use crate::progress::{progress, watched};
+use crate::progress::watched;
 use crate::sim::EPISODES;
 use crate::sim::trial::{self, Defined};
 use axis::GivenAxis;
@@ -212,17 +212,9 @@ impl Args {
         let all = sweep.jobs();
         let found: Vec<Option<PointRecord>> =
             all.iter().map(|job| folder.and_then(|folder| files::read(folder, sweep, *job))).collect();
-        let mine = |at: &usize| self.shard.is_none_or(|shard| shard.has(*at));
-        let left: Vec<usize> = (0..all.len()).filter(|at| found[*at].is_none()).filter(mine).collect();
-        let episodes = |at: &usize| u64::from(sweep.points[all[*at].point].trial.layouts.len());
-        let bar = progress(left.iter().map(episodes).sum(), self.run.quiet);
-        let there = found.iter().flatten().count();
-        if there > 0 && !self.run.quiet {
-            talk(&format!("finished already: {there} of {}", counted(all.len(), "trial")));
-        }
-        let work = |at: usize| -> Result<Option<PointRecord>> {
-            let job = all[at];
-            let report = sweep.trial(job).run_while(watched(&bar, stop));
+        let episodes = |job: Job| u64::from(sweep.points[job.point].trial.layouts.len());
+        let work = |job: Job, bar: &ProgressBar| -> Result<Option<PointRecord>> {
+            let report = sweep.trial(job).run_while(watched(bar, stop));
             if !report.finished {
                 return Ok(None);
             }
@@ -231,8 +223,6 @@ impl Args {
             tracing::info!("kept repeat {} of point {}", job.repeat, record.at.join(", "));
             Ok(Some(record))
         };
-        let records = jobs::finish((found, left), self.run.jobs, stop, work)?;
-        bar.finish_and_clear();
-        Ok(all.into_iter().zip(records).filter_map(|(job, record)| Some((job, record?))).collect())
+        part::finish((all, found), (&self.run, self.shard), ("trial", episodes), stop, work)
     }
 }

@@ -16,6 +16,19 @@ pub enum Place {
     },
 }
 
+impl Place {
+    /// Returns the quantity with this name: `FLAG`, or `FLAG.FIELD` for a field in the file of a flag. Whether there is
+    /// one is not checked.
+    pub fn of(name: &str) -> Place {
+        match name.split_once('.') {
+            None => Place::Flag(name.to_owned()),
+            Some((flag, field)) => {
+                Place::Field { flag: flag.to_owned(), field: field.split('.').map(str::to_owned).collect() }
+            }
+        }
+    }
+}
+
 /// Returns a value as it would be written in a file (TOML); text needs no quotes.
 pub fn toml_value(text: &str) -> Value {
     text.parse().unwrap_or_else(|_| Value::String(text.to_owned()))
