@@ -93,7 +93,7 @@ pub fn figures(bench: &Bench, results: &Results) -> Result<Vec<Figure>, FigureEr
 /// Returns the report page as HTML, with its figures and tables.
 pub fn page(bench: &Bench, results: &Results, figures: &[Figure]) -> String {
     let identity = bench.identity();
-    let tables: Vec<(&str, (Vec<String>, Vec<Vec<String>>))> =
+    let tables: Vec<_> =
         table::tasks(bench).into_iter().map(|task| (task, table::of_task(bench, results, task))).collect();
     let mut parts = vec![
         Part::Text(format!("{}; {}.", counted(bench.cells.len(), "cell"), table::verdicts(results))),

@@ -23,7 +23,7 @@ pub const MOST_SEED: u64 = u32::MAX as u64;
 /// `seed`, at most [`MOST_SEED`]. All cells have the same ones, so that policies and channels are compared in pairs.
 pub fn of_episode(seed: u64, episode: u32) -> u64 {
     assert!(seed <= MOST_SEED && episode < MOST_EPISODES, "seeds of two benchmarks do not overlap");
-    FIRST | seed * u64::from(MOST_EPISODES) | u64::from(episode)
+    FIRST + seed * u64::from(MOST_EPISODES) + u64::from(episode)
 }
 
 /// Returns the layout of the episode whose seed is `seed`, as the one of a trial.
