@@ -212,7 +212,8 @@ impl Outgoing {
         let acks = self.setup.piggyback == Piggyback::Any && !self.acks.is_empty();
         let soft = self.soft.has_for(now, audience);
         let report = all && self.may_piggyback_report(now);
-        if !(soft || report || acks) && held.is_empty() && !(all && !self.carried.is_empty()) {
+        let carries = all && !self.carried.is_empty();
+        if !(soft || report || acks || carries) && held.is_empty() {
             return frame;
         }
         let mut bytes = frame.to_vec();
