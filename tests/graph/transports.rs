@@ -39,6 +39,13 @@ fn lines(name: &str) -> (&'static str, &'static [(&'static str, &'static str, &'
                 ("interface = \"lo\"", "", "link.infra.interface: missing"),
             ],
         ),
+        "auto" => (
+            "interface = \"lo\"\ngroup = \"239.255.77.92:47812\"",
+            &[
+                ("239.255.77.92:", "10.0.0.1:", "link.infra.group (line 8): 10.0.0.1 is no multicast group"),
+                ("239.255.77.92:", "[ff02::4d75]:", "link.infra.group (line 8): ff02::4d75 is of IPv6"),
+            ],
+        ),
         "unicast" => (
             "interface = \"lo\"\npeers.robot-0 = \"127.0.0.1:47821\"\npeers.robot-1 = \"127.0.0.1:47822\"\n\
              peers.robot-2 = \"127.0.0.1:47823\"\npeers.world = \"127.0.0.1:47824\"",

@@ -120,6 +120,8 @@ pub enum Content {
     Signature,
     /// Parts of messages that have not arrived (`parts`).
     Lacking,
+    /// Mark of a pair: a copy of the datagram follows at once (`choice`).
+    Pair,
     /// Content of a later version, with its byte; it is passed over.
     Other(u8),
 }
@@ -133,6 +135,7 @@ impl Content {
     const ROSTER: u8 = 0x85;
     const SIGNATURE: u8 = 0x86;
     const LACKING: u8 = 0x87;
+    const PAIR: u8 = 0x8a;
 
     fn byte(self) -> u8 {
         match self {
@@ -145,6 +148,7 @@ impl Content {
             Content::Roster => Content::ROSTER,
             Content::Signature => Content::SIGNATURE,
             Content::Lacking => Content::LACKING,
+            Content::Pair => Content::PAIR,
             Content::Other(byte) => byte,
         }
     }
@@ -156,6 +160,7 @@ impl Content {
             Content::ROSTER => Content::Roster,
             Content::SIGNATURE => Content::Signature,
             Content::LACKING => Content::Lacking,
+            Content::PAIR => Content::Pair,
             Content::ACK => Content::Ack,
             Content::NACK => Content::Nack,
             Content::HELD => Content::Held,

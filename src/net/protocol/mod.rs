@@ -1,9 +1,11 @@
 //! Protocol between hosts: encoding, authentication, retransmission and routing. Pure.
 
 mod acks;
+mod answers;
 mod belief;
 mod bucket;
 mod candidates;
+pub mod choice;
 pub mod cipher;
 pub mod codec;
 mod congestion;
@@ -35,6 +37,7 @@ mod signing;
 mod soft;
 pub(crate) mod succession;
 mod tags;
+mod trouble;
 mod unpack;
 mod urgent;
 mod window;

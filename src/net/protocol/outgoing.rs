@@ -5,13 +5,14 @@ use std::collections::BTreeMap;
 
 use super::acks::Acks;
 use super::bucket::{Bucket, Rate};
+use super::choice::{Choice, Said};
 use super::codec::{self, BLOCK_BYTES, Content, EncodeError, FLAGS_AT, Flags, Frame, HEADER_BYTES, Header};
 use super::codec::{MAX_FRAME_BYTES, MAX_PLAIN_BYTES, add};
 use super::counts::LinkCounts;
 use super::incoming::{Incoming, Urgency};
 use super::key::Key;
 use super::reliability::{Heartbeats, Piggyback, Reliability, Reports, Setup};
-use super::report::{DatagramId, write_held, write_ids};
+use super::report::write_held;
 use super::report_schedule::Occasion;
 use super::retransmit::{Retransmitter, Untagged};
 use super::router::Audience;
@@ -49,11 +50,11 @@ pub struct Outgoing {
     pub(super) setup: Setup,
     to_all: u32,
     direct: BTreeMap<HostId, u32>,
-    retransmitter: Retransmitter,
+    pub(super) retransmitter: Retransmitter,
     soft: Soft,
     /// For each set of receivers, the time at which data was last sent to it.
     data_sent: BTreeMap<Audience, Time>,
-    report_sent: Option<Time>,
+    pub(super) report_sent: Option<Time>,
     report_due: Option<Time>,
     /// Whether another host waits for a report.
     report_pending: bool,
@@ -65,8 +66,10 @@ pub struct Outgoing {
     urgent_bucket: Bucket,
     /// Whether report entries contain the number of the next unicast datagram to their host.
     numbered: bool,
-    acks: Acks,
+    pub(super) acks: Acks,
     signing: Signing,
+    /// What the link does with data for all hosts, if it chooses how that leaves.
+    pub(super) choice: Option<Box<Choice>>,
 }
 
 impl Outgoing {
@@ -76,6 +79,7 @@ impl Outgoing {
         let report_due = (setup.reports == Reports::On).then_some(Time::ZERO + first_report);
         let numbered = key.is_some() && setup.is_addressed();
         let room = key.as_ref().map_or(MAX_PLAIN_BYTES, Key::room);
+        let choice = Choice::new(setup.choosing, setup.spread, me.sender);
         Outgoing {
             me,
             link,
@@ -97,6 +101,7 @@ impl Outgoing {
             numbered,
             acks: Acks::default(),
             signing: Signing::default(),
+            choice,
         }
     }
 
@@ -113,7 +118,7 @@ impl Outgoing {
         out: &mut Vec<Outbound>,
     ) -> Result<Frame, EncodeError> {
         let audience = if self.setup.piggyback == Piggyback::Any { Audience::All } else { audience };
-        let (kind, stream) = (message.kind(), (message.kind(), message.robot()));
+        let (kind, stream, said) = (message.kind(), (message.kind(), message.robot()), Said::of(message));
         let soft = kind.is_soft();
         let reliability = self.reliability_of(message);
         let flags = if reliability == Reliability::Ack { Flags::ACK } else { 0 };
@@ -129,13 +134,17 @@ impl Outgoing {
             self.send_soft(now, incoming, counts, out);
             return Ok(encoded);
         }
+        if self.choice.as_mut().is_some_and(|choice| choice.leaves_out(now, said, incoming)) {
+            return Ok(encoded);
+        }
         // A pending repeat of the same stream is sent before the new message, since after it the repeat would be stale.
         if let Some(datagram) = self.retransmitter.supersede(now, stream) {
             self.send_copy(datagram, counts, out);
         }
         let held = if reliability == Reliability::Nack { self.retransmitter.held(audience) } else { Vec::new() };
         let plain = self.with_piggybacked(now, audience, frame.clone(), &held, incoming);
-        out.push((audience, self.seal(&plain, audience, 0)));
+        let length = plain.len();
+        self.leave(now, (audience, said), (&plain, &frame), incoming, (counts, out));
         let repeats = if reliability == Reliability::Repeat { incoming.repeats(now, audience) } else { 0 };
         let sequence = self.header(audience, 0).sequence;
         self.retransmitter.keep(now, stream, (audience, plain), sequence, (reliability, repeats));
@@ -149,6 +158,7 @@ impl Outgoing {
         } else {
             counts.sent += 1;
             self.data_sent.insert(audience, now);
+            self.probe(now, (said, length), counts, out);
         }
         Ok(encoded)
     }
@@ -172,7 +182,7 @@ impl Outgoing {
         }
     }
 
-    fn count(&mut self, audience: Audience) {
+    pub(super) fn count(&mut self, audience: Audience) {
         let next = match audience {
             Audience::All => &mut self.to_all,
             Audience::Host(host) => self.direct.entry(host).or_default(),
@@ -181,7 +191,7 @@ impl Outgoing {
     }
 
     /// Returns the final datagram: with additional flags, and with a tag if there is a key.
-    fn seal(&self, plain: &Frame, audience: Audience, flags: u8) -> Frame {
+    pub(super) fn seal(&self, plain: &Frame, audience: Audience, flags: u8) -> Frame {
         if self.key.is_none() && flags == 0 {
             return plain.clone();
         }
@@ -236,18 +246,6 @@ impl Outgoing {
             if self.report_alone {
                 self.report_due = regular;
             }
-        }
-    }
-
-    fn send_acks(&mut self, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
-        while let Some(host) = self.acks.first_host() {
-            let audience = if self.setup.piggyback == Piggyback::Any { Audience::All } else { Audience::Host(host) };
-            let mut bytes = codec::start(&self.header(audience, 0));
-            match audience {
-                Audience::All => self.acks.add_to(&mut bytes, self.room),
-                Audience::Host(host) => self.acks.add_for(host, &mut bytes),
-            }
-            self.send_alone(audience, bytes, counts, out);
         }
     }
 
@@ -330,50 +328,16 @@ impl Outgoing {
         counts.soft += 1;
     }
 
-    fn send_copy(&mut self, (audience, plain): Untagged, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
+    pub(super) fn send_copy(&mut self, (audience, plain): Untagged, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
         out.push((audience, self.seal(&plain, audience, Flags::COPY)));
         counts.copies += 1;
     }
 
-    /// Schedules the acknowledgement of a datagram that has arrived.
-    pub fn acknowledge(&mut self, now: Time, id: DatagramId) {
-        self.acks.note(now, id);
-    }
-
-    /// Returns whether the acknowledgement of this datagram is pending, or nothing more of its sender can be.
-    pub fn acknowledges(&self, id: &DatagramId) -> bool {
-        self.acks.has(id)
-    }
-
-    /// Handles acknowledgements that the host `from` has sent for datagrams of this host.
-    pub fn acknowledged(&mut self, now: Time, from: HostId, ids: &[DatagramId]) {
-        self.retransmitter.acknowledged(now, from, ids);
-    }
-
-    /// Retransmits the datagrams that the host `from` requests: appends those that are still kept to `out`.
-    pub fn requested(
-        &mut self,
-        now: Time,
-        from: HostId,
-        ids: &[DatagramId],
-        counts: &mut LinkCounts,
-        out: &mut Vec<Outbound>,
-    ) {
-        for datagram in self.retransmitter.requested(now, from, ids) {
-            self.send_copy(datagram, counts, out);
-        }
-    }
-
-    /// Appends to `out` a datagram to all hosts that requests the retransmission of the missing datagrams `ids`.
-    pub fn ask(&mut self, ids: &[DatagramId], counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
-        let mut bytes = codec::start(&self.header(Audience::All, 0));
-        add(&mut bytes, Content::Nack, |bytes| write_ids(ids, bytes));
-        self.send_alone(Audience::All, bytes, counts, out);
-    }
-
     /// Returns the time at which `wake` has to be called next; `None` if nothing is due.
     pub fn due(&self) -> Option<Time> {
-        let dues = [self.retransmitter.due(), self.soft.due(), self.acks.due(), self.report_due, self.urgent_due];
+        let choice = self.choice.as_ref().and_then(|choice| choice.due());
+        let dues =
+            [choice, self.retransmitter.due(), self.soft.due(), self.acks.due(), self.report_due, self.urgent_due];
         let first = dues.map(|due| due.unwrap_or(Time::MAX)).into_iter().fold(Time::MAX, Time::min);
         Some(first).filter(|due| *due < Time::MAX)
     }
@@ -384,6 +348,7 @@ impl Outgoing {
         while let Some(datagram) = self.retransmitter.next(now, counts) {
             self.send_copy(datagram, counts, out);
         }
+        self.leave_pending(now, counts, out);
         self.send_soft(now, incoming, counts, out);
         if self.acks.due().is_some_and(|due| due <= now) {
             self.send_acks(counts, out);

@@ -218,6 +218,7 @@ impl Sender {
             round_trip_s: offset.map(|offset| offset.round_trip_s),
             duplicate_ids: self.duplicate_ids,
             is_former: false,
+            sends: None,
         }
     }
 }
@@ -275,4 +276,7 @@ pub struct Peer {
     /// Whether the host speaks the version of the wire format before this one, so that nothing of it is accepted.
     #[serde(rename = "former")]
     pub is_former: bool,
+    /// How this host sends its data on the link, and by which figures, if the link chooses.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sends: Option<String>,
 }
