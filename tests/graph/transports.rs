@@ -271,7 +271,8 @@ fn mistakes_in_a_team_file_are_refused_by_their_field() {
         let error = with(&format!("{transport}\ncolour = \"red\""));
         assert!(error.starts_with("link.infra.colour (line 7): there is no such field"), "{error}");
         let error = with("transport = \"pigeon\"");
-        assert!(error.contains("there is no transport 'pigeon'; there are: multicast, unicast, zenoh, hub"), "{error}");
+        let there = "there is no transport 'pigeon'; there are: multicast, unicast, auto, zenoh, hub";
+        assert!(error.contains(there), "{error}");
     }
 }
 
