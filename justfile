@@ -34,6 +34,10 @@ faults seed mode="onboard-adhoc" *flags:
 full-stop:
     TESTS_MUST="namespaces nft faketime" MURMURATE_STOPS=20 cargo test --release --test live stop:: -- --nocapture
 
+# Links that choose: share and airtime beside fixed ways, 3 to 20 robots, and 10 minutes of changes (15 minutes)
+full-auto:
+    AUTO_FULL=1 cargo test --release --test link auto:: -- --nocapture --test-threads 2
+
 # The safety filter under random and hostile policies: a million steps, 1000 episodes of each policy (5 minutes)
 full-safety:
     MURMURATE_FILTER_STEPS=1000000 MURMURATE_FILTER_EPISODES=1000 cargo test --release --test graph filter:: -- --nocapture

@@ -283,7 +283,7 @@ impl Network {
         let Some(state) = self.links.get_mut(at).and_then(Option::as_mut) else { return };
         let admitted = state.admit(now, frame, &mut self.stream, &mut self.outgoing);
         self.due[at] = state.due();
-        if let (Some(heard), Some(from), false) = (state.heard(), from, self.shared[at]) {
+        if let (Some(heard), Some(from), true) = (state.heard(), from, !self.shared[at] || state.chooses()) {
             out.extend(self.addresses.admit(now, (link, from), heard, state).map(|guest| Out::Admit(link, guest)));
             self.due[at] = state.due();
         }

@@ -1,6 +1,6 @@
 //! Checks of a link of a deployment, and what is emulated on it.
 
-use super::{Link, LinkMedium};
+use super::{Link, LinkMedium, Stepping};
 use crate::config::ConfigError;
 use crate::net::media::emulator::Impairment;
 use crate::time::Span;
@@ -36,6 +36,12 @@ impl Link {
             }
         }
         Ok(())
+    }
+
+    /// Returns whether the states of a team that acts at the same instants have to be spread on the link: its hosts
+    /// share a radio.
+    pub(crate) fn spreads(&self, stepping: Stepping) -> bool {
+        stepping == Stepping::Lockstep && self.medium.topology().is_some()
     }
 
     /// Checks the radio of the link, if it has one.

@@ -148,6 +148,9 @@ pub struct Link {
     /// these.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub mesh: bool,
+    /// Whether the emulated link chooses how it sends by what it measures, as a link with `transport = "auto"` does.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub auto: bool,
 }
 
 /// Configuration of a team: hosts with their actors, and links with their kinds of messages.

@@ -26,6 +26,7 @@ impl Deployment {
             reliability: Reliabilities::new(),
             range_m: None,
             mesh: false,
+            auto: false,
             radio: None,
         };
         let infra = |carries: &[Kind]| link("infra", LinkMedium::AccessPoint, carries);

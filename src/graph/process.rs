@@ -8,7 +8,7 @@ use std::rc::Rc;
 use crate::actors::{
     agent, body, cache, controller, localizer, network, recorder, senses, state_server, status, world,
 };
-use crate::deploy::{Link, Routes};
+use crate::deploy::{Link, Routes, Stepping};
 use crate::faults::{ActorFault, ManualLinkFault, Role};
 use crate::graph::devices::Devices;
 use crate::graph::end::HostEnd;
@@ -52,7 +52,7 @@ impl Process {
             key: None,
             seed,
             keep: None,
-            links: deployment.links.iter().map(|link| emulated(link, routes, host)).collect(),
+            links: deployment.links.iter().map(|link| emulated(link, deployment.stepping, routes, host)).collect(),
             transports: Vec::new(),
         };
         let hosts = (0..=u16::MAX).map(HostId).take(deployment.hosts.len());
@@ -67,12 +67,17 @@ impl Process {
 }
 
 /// Returns the setup of an emulated link for a host; `None` if the host neither sends nor receives on it.
-fn emulated(link: &Link, routes: &Routes, host: HostId) -> Option<Setup> {
+fn emulated(link: &Link, stepping: Stepping, routes: &Routes, host: HostId) -> Option<Setup> {
     // A link of robots sends heartbeats twice while it loses 3 % or more, which this link is known to do.
     let lossy = link.loss >= MIN_LOSS && link.impairs.contains(&Kind::Heartbeat);
     let heartbeats = if lossy { Heartbeats::Twice } else { Heartbeats::Once };
     let partakes = link.carries.iter().any(|kind| routes.exchanges(host, *kind));
-    partakes.then(|| Setup { heartbeats, mesh: link.mesh, ..Setup::emulated(link.reliability.clone()) })
+    let (reliability, mesh) = (link.reliability.clone(), link.mesh);
+    partakes.then(|| match link.auto {
+        false => Setup { heartbeats, mesh, ..Setup::emulated(reliability) },
+        // The one process of all hosts is as fast as it likes.
+        true => Setup { rate: None, mesh, spread: link.spreads(stepping), ..Setup::choosing(reliability) },
+    })
 }
 
 /// Actors of a run, held by their mailboxes, through which messages and faults reach them.

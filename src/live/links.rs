@@ -73,7 +73,8 @@ pub(crate) fn setups<'a>(
     places: impl IntoIterator<Item = Option<&'a Place>>,
 ) -> Vec<Option<Setup>> {
     let setup = |(link, place): (&Link, Option<&Place>)| {
-        place.map(|place| Setup { mesh: link.mesh, ..place.setup(&link.reliability) })
+        let (mesh, spread) = (link.mesh, link.spreads(deployment.stepping));
+        place.map(|place| Setup { mesh, spread, ..place.setup(&link.reliability) })
     };
     deployment.links.iter().zip(places).map(setup).collect()
 }

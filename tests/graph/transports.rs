@@ -39,6 +39,13 @@ fn lines(name: &str) -> (&'static str, &'static [(&'static str, &'static str, &'
                 ("interface = \"lo\"", "", "link.infra.interface: missing"),
             ],
         ),
+        "auto" => (
+            "interface = \"lo\"\ngroup = \"239.255.77.92:47812\"",
+            &[
+                ("239.255.77.92:", "10.0.0.1:", "link.infra.group (line 8): 10.0.0.1 is no multicast group"),
+                ("239.255.77.92:", "[ff02::4d75]:", "link.infra.group (line 8): ff02::4d75 is of IPv6"),
+            ],
+        ),
         "unicast" => (
             "interface = \"lo\"\npeers.robot-0 = \"127.0.0.1:47821\"\npeers.robot-1 = \"127.0.0.1:47822\"\n\
              peers.robot-2 = \"127.0.0.1:47823\"\npeers.world = \"127.0.0.1:47824\"",
@@ -264,7 +271,8 @@ fn mistakes_in_a_team_file_are_refused_by_their_field() {
         let error = with(&format!("{transport}\ncolour = \"red\""));
         assert!(error.starts_with("link.infra.colour (line 7): there is no such field"), "{error}");
         let error = with("transport = \"pigeon\"");
-        assert!(error.contains("there is no transport 'pigeon'; there are: multicast, unicast, zenoh, hub"), "{error}");
+        let there = "there is no transport 'pigeon'; there are: multicast, unicast, auto, zenoh, hub";
+        assert!(error.contains(there), "{error}");
     }
 }
 

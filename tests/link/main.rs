@@ -1,6 +1,7 @@
 //! The wire and the link layer: decoding, acceptance of senders, retransmission, and the cost of soft state.
 
 mod abuse;
+mod auto;
 mod confidential;
 mod fuzz_decoders;
 mod fuzz_members;

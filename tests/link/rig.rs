@@ -55,7 +55,7 @@ pub fn network(config: Config) -> Network {
 }
 
 /// Creates a Network; each run has other random numbers, even with the same incarnation.
-fn network_of_run(config: Config, run: u64) -> Network {
+pub fn network_of_run(config: Config, run: u64) -> Network {
     let stream = Seed::of_run(u64::from(config.me.host.0)).stream(&format!("network/{run}"));
     Network::new(config, stream)
 }
@@ -135,6 +135,10 @@ pub struct Rig {
     pub blocked: Option<Blocked>,
     /// Host that does not run: nothing leaves or reaches it.
     pub down: Option<usize>,
+    /// Inputs of all hosts as a record has them, each with time and host, if they are recorded; `None` is a wake-up.
+    pub tape: Option<Vec<(Time, usize, Option<In>)>>,
+    /// Hosts that have left a radio channel: nothing of them or for them is on it.
+    pub off: BTreeSet<usize>,
     /// Radio channel that takes the place of loss, delay and jitter.
     pub radio: Option<Channel<(usize, Frame)>>,
     flying: BTreeMap<(Time, u64), (usize, usize, Frame)>,
@@ -177,6 +181,8 @@ impl Rig {
             configured: None,
             blocked: None,
             down: None,
+            tape: None,
+            off: BTreeSet::new(),
             radio: None,
             flying: BTreeMap::new(),
             count: 0,
@@ -203,12 +209,20 @@ impl Rig {
                 Out::Duplicate(duplicate) => self.duplicates[host] = Some(duplicate),
                 Out::Admit(_, guest) => self.admitted[host].push(guest),
                 Out::Keep(number, _) => kept.push(number),
-                Out::Tap(_) | Out::Refused(..) | Out::Keys(_) | Out::Roster(_) => {}
+                Out::Refused(link, cause, _) => {
+                    if let Some((.., input)) = self.tape.as_mut().and_then(|tape| tape.last_mut()) {
+                        *input = Some(In::Refused(link, cause, 1));
+                    }
+                }
+                Out::Tap(_) | Out::Keys(_) | Out::Roster(_) => {}
                 Out::Transmit(_, audience, frame) => {
                     let bytes = frame.len();
                     self.sent.push(Flight { from: host, at: self.now, audience, frame: frame.clone(), bytes });
                     let held = |(from, all)| from == host && (all || is_held(&frame));
                     if self.relay.is_some_and(held) {
+                        continue;
+                    }
+                    if self.off.contains(&host) {
                         continue;
                     }
                     if let Some(radio) = &mut self.radio {
@@ -270,7 +284,7 @@ impl Rig {
     }
 
     pub fn publish(&mut self, host: usize, message: Wire) {
-        self.act(host, |network, now, out| network.handle(now, In::Publish(message), out));
+        self.take(host, In::Publish(message));
     }
 
     pub fn arrive(&mut self, host: usize, frame: &[u8]) {
@@ -279,7 +293,17 @@ impl Rig {
 
     /// Delivers a datagram from this address.
     pub fn arrive_from(&mut self, host: usize, frame: &[u8], from: Option<SocketAddr>) {
-        self.act(host, |network, now, out| network.handle(now, In::Frame(LINK, frame.into(), from), out));
+        self.take(host, In::Frame(LINK, frame.into(), from));
+    }
+
+    fn take(&mut self, host: usize, input: In) {
+        self.note(host, Some(&input));
+        self.act(host, |network, now, out| network.handle(now, input, out));
+    }
+
+    fn note(&mut self, host: usize, input: Option<&In>) {
+        let now = self.now;
+        self.tape.iter_mut().for_each(|tape| tape.push((now, host, input.cloned())));
     }
 
     /// Advances the time by this many milliseconds.
@@ -302,6 +326,9 @@ impl Rig {
                 radio.wake(next, &mut deliveries);
                 for delivery in deliveries {
                     let (from, frame) = delivery.token;
+                    if self.off.contains(&usize::from(delivery.to)) {
+                        continue;
+                    }
                     self.arrive_from(usize::from(delivery.to), &frame, self.addresses[from]);
                 }
             } else if let Some(flight) = flight.filter(|(at, _)| *at <= next) {
@@ -311,6 +338,7 @@ impl Rig {
                 }
                 self.arrive_from(to, &frame, self.addresses[from]);
             } else if let Some((_, host)) = wake {
+                self.note(host, None);
                 self.act(host, |network, now, out| network.wake(now, out));
             }
         }

@@ -13,9 +13,10 @@ impl LinkState {
         self.outgoing.carried = block;
     }
 
-    /// Returns the entries that have left since: those that had room.
+    /// Returns the entries that have left since: those that had room; none if the datagram was left out.
     pub(crate) fn carried(&mut self) -> Block {
-        std::mem::take(&mut self.outgoing.carried)
+        let block = std::mem::take(&mut self.outgoing.carried);
+        if block.left { block } else { Block::default() }
     }
 
     /// Sends entries in a datagram of their own, with what else waits: appends it to `out`. Returns those that had

@@ -122,6 +122,8 @@ pub enum Content {
     Lacking,
     /// Soft state of others that the sender passes on (`relay`).
     Relayed,
+    /// Mark of a pair: a copy of the datagram follows at once (`choice`).
+    Pair,
     /// Content of a later version, with its byte; it is passed over.
     Other(u8),
 }
@@ -136,6 +138,7 @@ impl Content {
     const SIGNATURE: u8 = 0x86;
     const LACKING: u8 = 0x87;
     const RELAYED: u8 = 0x88;
+    const PAIR: u8 = 0x8a;
 
     fn byte(self) -> u8 {
         match self {
@@ -149,6 +152,7 @@ impl Content {
             Content::Signature => Content::SIGNATURE,
             Content::Lacking => Content::LACKING,
             Content::Relayed => Content::RELAYED,
+            Content::Pair => Content::PAIR,
             Content::Other(byte) => byte,
         }
     }
@@ -161,6 +165,7 @@ impl Content {
             Content::SIGNATURE => Content::Signature,
             Content::LACKING => Content::Lacking,
             Content::RELAYED => Content::Relayed,
+            Content::PAIR => Content::Pair,
             Content::ACK => Content::Ack,
             Content::NACK => Content::Nack,
             Content::HELD => Content::Held,

@@ -1,5 +1,6 @@
 //! Control blocks of a received datagram: reports, acknowledgements and requests of its sender, beside messages.
 
+use super::choice::Pair;
 use super::codec::{self, Content, DecodeError};
 use super::parts::Lacking;
 use super::report::{DatagramId, Report, read_held, read_ids};
@@ -12,6 +13,7 @@ pub(super) struct ControlBlocks {
     pub(super) acks: Vec<DatagramId>,
     pub(super) requests: Vec<DatagramId>,
     pub(super) lacking: Vec<Lacking>,
+    pub(super) pair: Option<Pair>,
     /// Number of blocks of a later version, which are passed over.
     pub(super) skipped: u64,
 }
@@ -36,6 +38,7 @@ impl ControlBlocks {
                     return Err(DecodeError::Link(Content::Lacking));
                 }
                 (Content::Lacking, body) => blocks.lacking = Lacking::read(body)?,
+                (Content::Pair, body) => blocks.pair = Some(Pair::read(body)?),
                 (content @ Content::Nack, body) => blocks.requests.extend(read_ids(content, body)?),
             }
         }

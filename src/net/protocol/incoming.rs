@@ -92,8 +92,8 @@ pub struct Incoming {
     pub(super) candidates: Candidates,
     /// Datagrams that have not arrived, among those that their senders offer for retransmission.
     pub gaps: Gaps,
-    schedule: ReportSchedule,
-    congestion: Congestion,
+    pub(super) schedule: ReportSchedule,
+    pub(super) congestion: Congestion,
     /// Detection of other processes with the id of this host.
     pub duplicate_ids: DuplicateIds,
     /// Whether the last datagram proved its sender's liveness.

@@ -76,7 +76,7 @@ pub struct LinkState {
     pub(super) id: LinkId,
     pub(super) key: Option<Key>,
     /// Smallest host id that is no host of the team.
-    first_guest: HostId,
+    pub(super) first_guest: HostId,
     reports: Reports,
     pub(super) incoming: Incoming,
     pub(super) outgoing: Outgoing,
@@ -141,6 +141,7 @@ impl LinkState {
             again: Bucket::full(Time::ZERO, &AGAIN),
             former: BTreeSet::new(),
         };
+        state.save_airtime();
         state.plan();
         state
     }
@@ -215,6 +216,10 @@ impl LinkState {
             if waits {
                 self.heard = Some(Arrival { host: header.sender, standing: Standing::Candidate, proves: false });
             }
+            if refusal == Refusal::Duplicate && self.outgoing.completes(now, &header, blocks.pair) {
+                self.counts.duplicate += 1;
+                return Ok(None);
+            }
             let stop = if refusal == Refusal::Unproven { None } else { self.new_stop(now, &header, &plain) };
             let Some(stop) = stop else { return Err(refusal) };
             self.urgent = stop;
@@ -251,6 +256,7 @@ impl LinkState {
             return Ok(None);
         }
         self.counts.skipped += blocks.skipped;
+        self.outgoing.note_arrival(now, &header, blocks.pair);
         self.lacking = std::mem::take(&mut blocks.lacking);
         self.incoming.note_gaps(now, &header, &blocks.held, || backoff(stream));
         if !(blocks.acks.is_empty() && blocks.requests.is_empty()) {
@@ -295,23 +301,6 @@ impl LinkState {
             && !self.outgoing.acknowledges(&DatagramId::of(header))
             && self.again.has(now, &AGAIN)
             && self.again.take(now, &AGAIN)
-    }
-
-    /// Returns what is wrong with the key of a datagram that a host of this team seems to have sent: that host and this
-    /// one have two keys, or one key, or only one encrypts. The header is not authenticated, so it is only counted.
-    #[cold]
-    fn key_trouble(&self, frame: &[u8]) -> Option<Refusal> {
-        let header = codec::peek(frame).ok()?;
-        if header.team != self.me.team || header.sender >= self.first_guest || header.sender == self.me.host {
-            return None;
-        }
-        let unlike = |key: &Key| key.is_confidential() != header.flags.has(Flags::ENCRYPTED);
-        Some(match (&self.key, header.flags.has(Flags::TAGGED)) {
-            (Some(key), true) if unlike(key) => Refusal::Confidential,
-            (Some(_), true) => Refusal::OtherKey,
-            (Some(_), false) => Refusal::Untagged,
-            (None, _) => Refusal::Keyed,
-        })
     }
 
     /// Handles a datagram of another process that uses the id of this host: a second live one, or a recording.
@@ -393,7 +382,9 @@ impl LinkState {
         let told = self.reports == Reports::On;
         let former = self.former.iter().filter(|host| !self.incoming.senders.knows(**host));
         let former = former.map(move |host| Peer::former(now, self.id, *host));
-        self.incoming.peers(now).chain(former).filter(move |_| told)
+        let sends = self.outgoing.choice.as_ref().map(|choice| choice.decision().to_string());
+        let peers = self.incoming.peers(now).chain(former).filter(move |_| told);
+        peers.map(move |peer| Peer { sends: sends.clone(), ..peer })
     }
 
     /// Returns the time at which `wake` has to be called next; `None` if nothing is due.

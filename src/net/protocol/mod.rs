@@ -1,11 +1,12 @@
 //! Protocol between hosts: encoding, authentication, retransmission and routing. Pure.
 
-mod acknowledging;
 mod acks;
+mod answers;
 mod belief;
 mod bucket;
 mod candidates;
 mod carried;
+pub mod choice;
 pub mod cipher;
 pub mod codec;
 mod congestion;
@@ -38,6 +39,7 @@ mod signing;
 mod soft;
 pub(crate) mod succession;
 mod tags;
+mod trouble;
 mod unpack;
 mod urgent;
 mod window;

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 
 use super::acks::Acks;
 use super::bucket::{Bucket, Rate};
+use super::choice::{Choice, Said};
 use super::codec::{self, BLOCK_BYTES, Content, EncodeError, FLAGS_AT, Flags, Frame, HEADER_BYTES, Header};
 use super::codec::{MAX_FRAME_BYTES, MAX_PLAIN_BYTES, add};
 use super::counts::LinkCounts;
@@ -12,7 +13,7 @@ use super::incoming::{Incoming, Urgency};
 use super::key::Key;
 use super::relay::Block;
 use super::reliability::{Heartbeats, Piggyback, Reliability, Reports, Setup};
-use super::report::{DatagramId, write_held, write_ids};
+use super::report::write_held;
 use super::report_schedule::Occasion;
 use super::retransmit::{Retransmitter, Untagged};
 use super::router::Audience;
@@ -50,11 +51,11 @@ pub struct Outgoing {
     pub(super) setup: Setup,
     to_all: u32,
     direct: BTreeMap<HostId, u32>,
-    retransmitter: Retransmitter,
+    pub(super) retransmitter: Retransmitter,
     soft: Soft,
     /// For each set of receivers, the time at which data was last sent to it.
     data_sent: BTreeMap<Audience, Time>,
-    report_sent: Option<Time>,
+    pub(super) report_sent: Option<Time>,
     report_due: Option<Time>,
     /// Whether another host waits for a report.
     report_pending: bool,
@@ -70,6 +71,8 @@ pub struct Outgoing {
     signing: Signing,
     /// Entries for the next datagram to all hosts.
     pub(super) carried: Block,
+    /// What the link does with data for all hosts, if it chooses how that leaves.
+    pub(super) choice: Option<Box<Choice>>,
 }
 
 impl Outgoing {
@@ -79,6 +82,7 @@ impl Outgoing {
         let report_due = (setup.reports == Reports::On).then_some(Time::ZERO + first_report);
         let numbered = key.is_some() && setup.is_addressed();
         let room = key.as_ref().map_or(MAX_PLAIN_BYTES, Key::room);
+        let choice = Choice::new(setup.choosing, setup.spread, me.sender);
         Outgoing {
             me,
             link,
@@ -101,6 +105,7 @@ impl Outgoing {
             acks: Acks::default(),
             signing: Signing::default(),
             carried: Block::default(),
+            choice,
         }
     }
 
@@ -117,7 +122,7 @@ impl Outgoing {
         out: &mut Vec<Outbound>,
     ) -> Result<Frame, EncodeError> {
         let audience = if self.setup.piggyback == Piggyback::Any { Audience::All } else { audience };
-        let (kind, stream) = (message.kind(), (message.kind(), message.robot()));
+        let (kind, stream, said) = (message.kind(), (message.kind(), message.robot()), Said::of(message));
         let soft = kind.is_soft();
         let reliability = self.reliability_of(message);
         let flags = if reliability == Reliability::Ack { Flags::ACK } else { 0 };
@@ -133,13 +138,17 @@ impl Outgoing {
             self.send_soft(now, incoming, counts, out);
             return Ok(encoded);
         }
+        if self.choice.as_mut().is_some_and(|choice| choice.leaves_out(now, said, incoming)) {
+            return Ok(encoded);
+        }
         // A pending repeat of the same stream is sent before the new message, since after it the repeat would be stale.
         if let Some(datagram) = self.retransmitter.supersede(now, stream) {
             self.send_copy(datagram, counts, out);
         }
         let held = if reliability == Reliability::Nack { self.retransmitter.held(audience) } else { Vec::new() };
         let plain = self.with_piggybacked(now, audience, frame.clone(), &held, incoming);
-        out.push((audience, self.seal(&plain, audience, 0)));
+        let length = plain.len();
+        self.leave(now, (audience, said), (&plain, &frame), incoming, (counts, out));
         let repeats = if reliability == Reliability::Repeat { incoming.repeats(now, audience) } else { 0 };
         let sequence = self.header(audience, 0).sequence;
         self.retransmitter.keep(now, stream, (audience, plain), sequence, (reliability, repeats));
@@ -153,6 +162,7 @@ impl Outgoing {
         } else {
             counts.sent += 1;
             self.data_sent.insert(audience, now);
+            self.probe(now, (said, length), counts, out);
         }
         Ok(encoded)
     }
@@ -176,7 +186,7 @@ impl Outgoing {
         }
     }
 
-    fn count(&mut self, audience: Audience) {
+    pub(super) fn count(&mut self, audience: Audience) {
         let next = match audience {
             Audience::All => &mut self.to_all,
             Audience::Host(host) => self.direct.entry(host).or_default(),
@@ -185,7 +195,7 @@ impl Outgoing {
     }
 
     /// Returns the final datagram: with additional flags, and with a tag if there is a key.
-    fn seal(&self, plain: &Frame, audience: Audience, flags: u8) -> Frame {
+    pub(super) fn seal(&self, plain: &Frame, audience: Audience, flags: u8) -> Frame {
         if self.key.is_none() && flags == 0 {
             return plain.clone();
         }
@@ -326,40 +336,16 @@ impl Outgoing {
         counts.soft += 1;
     }
 
-    fn send_copy(&mut self, (audience, plain): Untagged, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
+    pub(super) fn send_copy(&mut self, (audience, plain): Untagged, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
         out.push((audience, self.seal(&plain, audience, Flags::COPY)));
         counts.copies += 1;
     }
 
-    /// Handles acknowledgements that the host `from` has sent for datagrams of this host.
-    pub fn acknowledged(&mut self, now: Time, from: HostId, ids: &[DatagramId]) {
-        self.retransmitter.acknowledged(now, from, ids);
-    }
-
-    /// Retransmits the datagrams that the host `from` requests: appends those that are still kept to `out`.
-    pub fn requested(
-        &mut self,
-        now: Time,
-        from: HostId,
-        ids: &[DatagramId],
-        counts: &mut LinkCounts,
-        out: &mut Vec<Outbound>,
-    ) {
-        for datagram in self.retransmitter.requested(now, from, ids) {
-            self.send_copy(datagram, counts, out);
-        }
-    }
-
-    /// Appends to `out` a datagram to all hosts that requests the retransmission of the missing datagrams `ids`.
-    pub fn ask(&mut self, ids: &[DatagramId], counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
-        let mut bytes = codec::start(&self.header(Audience::All, 0));
-        add(&mut bytes, Content::Nack, |bytes| write_ids(ids, bytes));
-        self.send_alone(Audience::All, bytes, counts, out);
-    }
-
     /// Returns the time at which `wake` has to be called next; `None` if nothing is due.
     pub fn due(&self) -> Option<Time> {
-        let dues = [self.retransmitter.due(), self.soft.due(), self.acks.due(), self.report_due, self.urgent_due];
+        let choice = self.choice.as_ref().and_then(|choice| choice.due());
+        let dues =
+            [choice, self.retransmitter.due(), self.soft.due(), self.acks.due(), self.report_due, self.urgent_due];
         let first = dues.map(|due| due.unwrap_or(Time::MAX)).into_iter().fold(Time::MAX, Time::min);
         Some(first).filter(|due| *due < Time::MAX)
     }
@@ -370,6 +356,7 @@ impl Outgoing {
         while let Some(datagram) = self.retransmitter.next(now, counts) {
             self.send_copy(datagram, counts, out);
         }
+        self.leave_pending(now, counts, out);
         self.send_soft(now, incoming, counts, out);
         if self.acks.due().is_some_and(|due| due <= now) {
             self.send_acks(counts, out);

@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::bucket::Rate;
+use super::choice::Choosing;
 use crate::messages::wire::Kind;
 use crate::time::Span;
 
@@ -99,6 +100,10 @@ pub struct Setup {
     pub hosts: Option<u16>,
     /// Whether hosts say emergency stops on, so that these cross hops.
     pub mesh: bool,
+    /// How the link decides in which way data for all hosts leaves.
+    pub choosing: Choosing,
+    /// Whether hosts act at the same instants and share a radio, so that a link that chooses spreads their states.
+    pub spread: bool,
 }
 
 /// Limit on the datagrams that a host accepts from each other host on real links: 8000 a second, and as many in a
@@ -120,6 +125,8 @@ impl Setup {
             rate: None,
             hosts: None,
             mesh: false,
+            choosing: Choosing::Fixed,
+            spread: false,
         }
     }
 
@@ -128,7 +135,13 @@ impl Setup {
     pub fn multicast(reliability: Reliabilities) -> Setup {
         let (piggyback, reports, report_piggyback_age) = (Piggyback::Any, Reports::On, REPORT_PIGGYBACK_AGE);
         let (heartbeats, rate) = (Heartbeats::TwiceWhileLossy, Some(RATE));
-        Setup { reliability, piggyback, heartbeats, reports, report_piggyback_age, rate, hosts: None, mesh: false }
+        Setup { piggyback, reports, report_piggyback_age, heartbeats, rate, ..Setup::emulated(reliability) }
+    }
+
+    /// Returns the setup of a link that sends by multicast or to each host by itself, as it chooses by what it
+    /// measures.
+    pub fn choosing(reliability: Reliabilities) -> Setup {
+        Setup { choosing: Choosing::Measured, ..Setup::multicast(reliability) }
     }
 
     /// Returns the setup of a link on which a datagram reaches only the host to which it is addressed: with link

@@ -55,6 +55,12 @@ impl ReportSchedule {
         ReportSchedule { me, rate, budget: Bucket::full(Time::ZERO, &rate), odd: false, authenticated }
     }
 
+    /// Returns the schedule with a sustained budget of `bytes_per_s` for entries of `entry_bytes` \[bytes/s\].
+    pub fn with_budget(mut self, bytes_per_s: f64, entry_bytes: usize) -> ReportSchedule {
+        self.rate.per_s = bytes_per_s / entry_bytes as f64;
+        self
+    }
+
     /// Returns the entries of a link report that is sent at `now`, at most `places`: about candidates and about
     /// accepted senders. `uptime` is the time since the start of this process.
     pub fn entries(

@@ -219,6 +219,7 @@ impl Sender {
             duplicate_ids: self.duplicate_ids,
             is_former: false,
             withholds: false,
+            sends: None,
         }
     }
 }
@@ -279,4 +280,7 @@ pub struct Peer {
     /// Whether the host passes nothing on, on a mesh on which it would have had to for seconds.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub withholds: bool,
+    /// How this host sends its data on the link, and by which figures, if the link chooses.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sends: Option<String>,
 }

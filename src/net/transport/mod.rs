@@ -99,7 +99,7 @@ pub struct Entry {
 }
 
 /// Registry entries of all transports of this crate.
-pub const REGISTRY: &[Entry] = &[udp::multicast::ENTRY, udp::unicast::ENTRY];
+pub const REGISTRY: &[Entry] = &[udp::multicast::ENTRY, udp::unicast::ENTRY, udp::auto::ENTRY];
 
 /// Names of fields of a link that no transport may define, since every link has them.
 pub(crate) const RESERVED: [&str; 2] = ["transport", "reliability"];

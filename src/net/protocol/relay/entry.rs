@@ -138,6 +138,8 @@ pub(crate) struct Block {
     pub(crate) lacks: bool,
     /// The entries.
     pub(crate) entries: Vec<Frame>,
+    /// Whether they are in a datagram.
+    pub(crate) left: bool,
 }
 
 impl Block {
@@ -157,6 +159,7 @@ impl Block {
         if self.is_empty() || bytes.len() + BLOCK_BYTES + 1 > most {
             return;
         }
+        self.left = true;
         codec::add(bytes, codec::Content::Relayed, |bytes| {
             bytes.push(u8::from(self.lacks));
             self.entries.iter().for_each(|entry| bytes.extend_from_slice(entry));
@@ -174,6 +177,6 @@ impl Block {
             entries.push(entry.into());
             rest = after;
         }
-        Block { lacks: *lacks == 1, entries }
+        Block { lacks: *lacks == 1, entries, left: false }
     }
 }

@@ -146,7 +146,7 @@ impl Relay {
         // That of a large team takes most of a datagram. What has no room beside data leaves in one of its own.
         entries.extend(layouts.values().filter(|layout| layout.is_due(now)).map(|layout| layout.entry(*me)));
         let lacks = self.lacks();
-        Block { lacks, entries }
+        Block { lacks, entries, left: false }
     }
 
     /// Takes note that a datagram with these entries has left.

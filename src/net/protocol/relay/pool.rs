@@ -80,7 +80,7 @@ impl Pool {
         held.push(Held { entry: Frame::clone(entry), order, from, since: now, heard: 1, said: 0 });
     }
 
-    /// Returns the entries that are to be said at `now`: what the state server says, on which all wait, then the newest.
+    /// Returns the entries that are to be said at `now`: those of the state server, on which all wait, then the newest.
     pub fn unsaid(&self, now: Time) -> Vec<Frame> {
         let mut all: Vec<(Time, &EntryId, &Frame)> = Vec::new();
         for (id, held) in &self.0 {

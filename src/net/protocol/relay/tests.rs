@@ -102,7 +102,7 @@ impl Met {
 }
 
 fn entries(entries: Vec<Frame>) -> Block {
-    Block { lacks: false, entries }
+    Block { entries, ..Block::default() }
 }
 
 fn heads(block: &Block, content: Content) -> Vec<Frame> {

@@ -40,13 +40,14 @@ impl Endpoint for SocketConfig {
     fn setup(&self, reliability: Reliabilities) -> Setup {
         match self.addressing {
             Addressing::Multicast(_) => Setup::multicast(reliability),
+            Addressing::Both(_) => Setup::choosing(reliability),
             _ => Setup::unicast(reliability),
         }
     }
 
     fn is_local(&self) -> bool {
         match &self.addressing {
-            Addressing::Multicast(_) => self.interface == LOOPBACK,
+            Addressing::Multicast(_) | Addressing::Both(_) => self.interface == LOOPBACK,
             Addressing::Unicast { listen, peers } => peers.values().chain([listen]).all(PeerAddress::is_loopback),
             Addressing::Guest { peers } => peers.values().all(PeerAddress::is_loopback),
         }
@@ -54,7 +55,7 @@ impl Endpoint for SocketConfig {
 
     fn claim(&self) -> Claim {
         match &self.addressing {
-            Addressing::Multicast(group) => {
+            Addressing::Multicast(group) | Addressing::Both(group) => {
                 Claim { field: "group", what: group.to_string(), on: self.interface.clone() }
             }
             Addressing::Unicast { listen, .. } => Claim { field: "peers", what: listen.to_string(), on: String::new() },
@@ -70,7 +71,7 @@ impl Endpoint for SocketConfig {
             peers.iter().filter(|(host, _)| hosts.contains(host)).map(|(host, at)| (*host, at.clone())).collect()
         };
         self.with(match &self.addressing {
-            Addressing::Multicast(group) => Addressing::Multicast(*group),
+            Addressing::Multicast(_) | Addressing::Both(_) => self.addressing.clone(),
             Addressing::Unicast { listen, peers } => {
                 Addressing::Unicast { listen: listen.clone(), peers: those(peers) }
             }

@@ -55,7 +55,7 @@ fn packet_size(interface: &str, needed: usize, mtu: &dyn Fn(&str) -> Option<usiz
 /// Opens the sockets, and returns what was found of their address and their receive buffer.
 fn sockets(config: &SocketConfig, host: HostId, link: &str) -> Vec<Finding> {
     let (what, said) = match &config.addressing {
-        Addressing::Multicast(group) => ("group", format!("{group} joined")),
+        Addressing::Multicast(group) | Addressing::Both(group) => ("group", format!("{group} joined")),
         Addressing::Unicast { listen, .. } => ("address", format!("port {} free", listen.port())),
         Addressing::Guest { .. } => ("address", "any".to_owned()),
     };

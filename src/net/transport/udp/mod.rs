@@ -1,6 +1,7 @@
-//! UDP: the open sockets of one link of one host. `socket.rs` has their configuration; `multicast.rs` and `unicast.rs`
-//! are the two transports. Does not interpret frames or decide who may send them.
+//! UDP: the open sockets of one link of one host. `socket.rs` has their configuration; `multicast.rs`,
+//! `unicast.rs` and `auto.rs` are the transports. Does not interpret frames or decide who may send them.
 
+pub mod auto;
 mod batch;
 mod endpoint;
 #[cfg(target_os = "linux")]
@@ -27,6 +28,7 @@ use crate::net::protocol::codec::{self, Content};
 use crate::net::protocol::link::Guest;
 use crate::net::protocol::router::Audience;
 use crate::net::transport::flood::{Flood, REST};
+use crate::net::transport::udp::auto::Hosts;
 use crate::net::transport::udp::batch::Batch;
 use crate::net::transport::udp::keeper::{Keeper, News, warn_elsewhere};
 use crate::net::transport::udp::loopback::Loopback;
@@ -62,6 +64,8 @@ struct Udp {
     unsent: u64,
     /// Number of times that a host was found at another address.
     moves: u64,
+    /// Group of a link that has both ways.
+    both: Option<SocketAddr>,
 }
 
 #[derive(Debug)]
@@ -78,13 +82,17 @@ struct ToGroup {
     tx: UdpSocket,
     own: SocketAddr,
     loopback: Loopback,
+    /// The group, and the hosts that are sent to by themselves, if the link has both ways.
+    both: Option<(SocketAddr, Hosts)>,
 }
 
 impl Udp {
     /// Opens the sockets of a link for the host `host`, as `config` says.
     fn open(host: HostId, config: &SocketConfig, filter: Filter) -> Result<Udp, OpenError> {
         let (sockets, to) = match &config.addressing {
-            Addressing::Multicast(_) => (open(config, filter, look(config, None)?)?, To::Group(None)),
+            Addressing::Multicast(_) | Addressing::Both(_) => {
+                (open(config, filter, look(config, None)?)?, To::Group(None))
+            }
             Addressing::Unicast { peers, .. } => {
                 (open(config, filter, look(config, None)?)?, To::peers(host, peers, true))
             }
@@ -102,6 +110,7 @@ impl Udp {
             flood: Flood::default(),
             unsent: 0,
             moves: 0,
+            both: if let Addressing::Both(group) = config.addressing { Some(group) } else { None },
         };
         udp.take(sockets);
         // The kernel doubles the requested size for its own bookkeeping and reports the double.
@@ -143,7 +152,8 @@ impl Udp {
         let loopback = ends.as_ref().is_some_and(|ends| ends.loopback);
         match &mut self.to {
             To::Group(group) => {
-                *group = tx.map(|(tx, own)| ToGroup { tx, own, loopback: Loopback::new(loopback) });
+                let both = self.both.map(|group| (group, Hosts::default()));
+                *group = tx.map(|(tx, own)| ToGroup { tx, own, loopback: Loopback::new(loopback), both });
             }
             To::Peers(peers) => peers.set_interface(ends.as_ref().map_or(0, |ends| ends.index)),
         }
@@ -181,6 +191,9 @@ impl Udp {
     }
 
     fn admit(&mut self, now: Time, guest: Guest) {
+        if let To::Group(Some(ToGroup { both: Some((_, hosts)), .. })) = &mut self.to {
+            return hosts.admit(guest);
+        }
         // On a multicast link, everyone receives everything anyway.
         let To::Peers(peers) = &mut self.to else { return };
         if peers.admit(now, guest) {
@@ -214,12 +227,21 @@ impl To {
     ) -> io::Result<()> {
         match (self, audience) {
             (To::Group(None), _) => Ok(()),
-            (To::Group(Some(ToGroup { tx, own, loopback })), _) => {
+            (To::Group(Some(ToGroup { tx, own, both: Some((group, hosts)), .. })), Audience::Host(host)) => {
+                // What comes to another host of the machine as well is sent to all.
+                let to = hosts.of(*host, group.port(), own.ip()).unwrap_or(*group);
+                tx.send_to(frame, to).map(drop)
+            }
+            (To::Group(Some(ToGroup { tx, own, loopback, both })), _) => {
                 if let Some(on) = loopback.switch(now) {
                     let tx = SockRef::from(&*tx);
                     if own.is_ipv4() { tx.set_multicast_loop_v4(on) } else { tx.set_multicast_loop_v6(on) }?;
                 }
-                tx.send(frame).map(drop)
+                match both {
+                    Some((group, _)) => tx.send_to(frame, *group),
+                    None => tx.send(frame),
+                }
+                .map(drop)
             }
             (To::Peers(peers), Audience::Host(host)) => {
                 let all = peers.of(now, *host);

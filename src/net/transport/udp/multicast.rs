@@ -26,11 +26,24 @@ pub(crate) const ENTRY: Entry = Entry {
 
 /// Returns the default group of the link with index `at`; each link has its own.
 fn default_group(at: usize) -> String {
+    group(at, PORT).to_string()
+}
+
+/// Returns the group of the link with index `at` if it names none, with this port.
+pub(super) fn group(at: usize, port: u16) -> SocketAddr {
     let last = u8::try_from(at % 254).expect("it is below 254") + 1;
-    SocketAddr::new(IpAddr::from([239, 255, 77, last]), PORT).to_string()
+    SocketAddr::new(IpAddr::from([239, 255, 77, last]), port)
 }
 
 fn read(settings: &LinkSettings) -> Result<Arc<dyn Endpoint>, ConfigError> {
+    read_with(settings, Addressing::Multicast)
+}
+
+/// Reads the endpoint of a link that uses a group as `addressing` says.
+pub(super) fn read_with(
+    settings: &LinkSettings,
+    addressing: fn(SocketAddr) -> Addressing,
+) -> Result<Arc<dyn Endpoint>, ConfigError> {
     let (interface, receive_buffer_bytes) = bound(settings)?;
     let group = settings.find("group").map(Value::address).expect("it has a default");
     if !group.ip().is_multicast() {
@@ -41,7 +54,7 @@ fn read(settings: &LinkSettings) -> Result<Arc<dyn Endpoint>, ConfigError> {
         let why = format!("an IPv6 group never arrives on '{LOOPBACK}'; take an IPv4 group there");
         return Err(settings.wrong("group", why));
     }
-    Ok(Arc::new(SocketConfig { addressing: Addressing::Multicast(group), interface, receive_buffer_bytes }))
+    Ok(Arc::new(SocketConfig { addressing: addressing(group), interface, receive_buffer_bytes }))
 }
 
 /// Returns an endpoint in the multicast group `group` on the named network interface, without a team file.

@@ -91,7 +91,7 @@ pub(super) fn look(config: &SocketConfig, used: Option<&Ends>) -> Result<Ends, O
     let first = || others.first().copied().expect("an interface that is found has an address");
     let (ip, port) = match &config.addressing {
         // A group of the link is reached from an address of the link.
-        Addressing::Multicast(_) => {
+        Addressing::Multicast(_) | Addressing::Both(_) => {
             let near = others.iter().find(is_link_local).copied();
             (kept.unwrap_or_else(|| near.unwrap_or_else(first)), 0)
         }
@@ -137,15 +137,18 @@ pub(super) fn open(config: &SocketConfig, filter: Filter, ends: Ends) -> Result<
         }
     };
     let group = match &config.addressing {
-        Addressing::Multicast(group) if !group.ip().is_multicast() => return Err(OpenError::NoGroup(*group)),
-        Addressing::Multicast(group) => Some(*group),
+        Addressing::Multicast(group) | Addressing::Both(group) if !group.ip().is_multicast() => {
+            return Err(OpenError::NoGroup(*group));
+        }
+        Addressing::Multicast(group) | Addressing::Both(group) => Some(*group),
         _ => None,
     };
     let listen = group.unwrap_or(ends.at);
-    let rx =
-        receiving_socket(listen, &ends, config.receive_buffer_bytes).map_err(failed(format!("listen to {listen}")))?;
+    let both = matches!(config.addressing, Addressing::Both(_));
+    let rx = receiving_socket(listen, &ends, config.receive_buffer_bytes, both)
+        .map_err(failed(format!("listen to {listen}")))?;
     let tx = group.map(|group| {
-        let tx = sending_socket(group, &ends).map_err(failed(format!("send to {group}")))?;
+        let tx = sending_socket(group, &ends, both).map_err(failed(format!("send to {group}")))?;
         let own = tx.local_addr().map_err(failed("learn the own port".to_owned()))?;
         Ok::<_, OpenError>((tx, own))
     });
@@ -219,8 +222,9 @@ fn widen(socket: &Socket) -> io::Result<()> {
 }
 
 /// Opens a socket that receives datagrams to `address`, a multicast group or an address of this host, on one network
-/// interface. `buffer_bytes` is the receive buffer requested from the kernel.
-fn receiving_socket(address: SocketAddr, ends: &Ends, buffer_bytes: usize) -> io::Result<Socket> {
+/// interface. `buffer_bytes` is the receive buffer requested from the kernel. With `both`, it receives what is for this
+/// host at the port of the group, too.
+fn receiving_socket(address: SocketAddr, ends: &Ends, buffer_bytes: usize, both: bool) -> io::Result<Socket> {
     let socket = socket(address)?;
     pin(&socket, ends)?;
     socket.set_recv_buffer_size(buffer_bytes)?;
@@ -232,7 +236,8 @@ fn receiving_socket(address: SocketAddr, ends: &Ends, buffer_bytes: usize) -> io
     // Every process of the machine that joins the group has to request address reuse.
     socket.set_reuse_address(true)?;
     socket.set_reuse_port(true)?;
-    socket.bind(&within(address, ends.index).into())?;
+    let any = SocketAddr::from((Ipv4Addr::UNSPECIFIED, address.port()));
+    socket.bind(&if both { any } else { within(address, ends.index) }.into())?;
     match address.ip() {
         IpAddr::V4(group) => {
             #[cfg(target_os = "linux")]
@@ -249,8 +254,8 @@ fn receiving_socket(address: SocketAddr, ends: &Ends, buffer_bytes: usize) -> io
 }
 
 /// Opens a socket that sends to a multicast group through one network interface. It is connected, so that the kernel
-/// looks up the route once and not for each datagram.
-fn sending_socket(group: SocketAddr, ends: &Ends) -> io::Result<UdpSocket> {
+/// looks up the route once and not for each datagram; with `both` it is not, and sends to single hosts, too.
+fn sending_socket(group: SocketAddr, ends: &Ends, both: bool) -> io::Result<UdpSocket> {
     let socket = socket(group)?;
     pin(&socket, ends)?;
     socket.bind(&within(ends.at, ends.index).into())?;
@@ -266,7 +271,11 @@ fn sending_socket(group: SocketAddr, ends: &Ends) -> io::Result<UdpSocket> {
             socket.set_multicast_loop_v6(true)?;
         }
     }
-    socket.connect(&within(group, ends.index).into())?;
+    if both {
+        widen(&socket)?;
+    } else {
+        socket.connect(&within(group, ends.index).into())?;
+    }
     Ok(socket.into())
 }
 

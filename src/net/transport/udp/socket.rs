@@ -47,6 +47,8 @@ pub struct SocketConfig {
 pub enum Addressing {
     /// Multicast: address and port of the group that all hosts of the link join.
     Multicast(SocketAddr),
+    /// The same, and unicast to each host at the address from which it is heard, at the port of the group.
+    Both(SocketAddr),
     /// Unicast to the address of each host.
     Unicast {
         /// Address at which this host receives.
@@ -67,7 +69,7 @@ impl Addressing {
     pub(super) fn is_ipv6(&self) -> bool {
         let is_ipv6 = |at: &PeerAddress| at.fixed().is_some_and(|at| at.is_ipv6());
         match self {
-            Addressing::Multicast(group) => group.is_ipv6(),
+            Addressing::Multicast(group) | Addressing::Both(group) => group.is_ipv6(),
             Addressing::Unicast { listen, peers } => peers.values().chain([listen]).any(is_ipv6),
             Addressing::Guest { peers } => peers.values().any(is_ipv6),
         }
