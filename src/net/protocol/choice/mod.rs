@@ -224,9 +224,9 @@ mod tests {
     #[test]
     fn a_decision_says_why() {
         let mut chooser = Chooser::default();
-        chooser.update(at(0), team(20, 2.32));
-        let said = "multicast, 10.000 Hz of 20.000: 20 hosts, loss 16 %, frames of 2.32 ms by multicast and 0.11 ms by \
-                    unicast, load 48 %";
+        chooser.update(at(0), team(20, 2.3));
+        let said = "multicast, 10.000 Hz of 20.000: 20 hosts, loss 16 %, frames of 2.30 ms by multicast and 0.11 ms by \
+                    unicast, load 47 %";
         assert_eq!(chooser.decision().to_string(), said);
     }
 }

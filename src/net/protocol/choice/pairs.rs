@@ -206,7 +206,7 @@ mod tests {
                 pairs.note(at(0), &header(1, u32::from(number), false), Some(Pair { unicast: false, number }));
             }
         }
-        assert!((pairs.loss() - 0.625).abs() < 0.02, "{}", pairs.loss());
+        assert!((pairs.loss() - 0.625).abs() < 0.05, "{}", pairs.loss());
         let restarted = Header { incarnation: 2, ..header(1, 1, false) };
         let before = pairs.loss();
         pairs.note(at(0), &restarted, Some(Pair { unicast: false, number: 3 }));
