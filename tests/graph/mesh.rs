@@ -10,6 +10,7 @@ use murmurate::net::media::radio::{Radio, Topology};
 use murmurate::net::protocol::counts::LinkCounts;
 use murmurate::policy::Model;
 use murmurate::report::TrialReport;
+use murmurate::safety::Safety;
 use murmurate::trial::Trial;
 
 /// Range \[m\] of the ad-hoc link of a team of eight: less than the width of its formation.
@@ -48,7 +49,8 @@ const EPISODES: u32 = 5;
 fn run(mesh: bool, seed: u64) -> TrialReport {
     let trial = Trial::of_team("onboard-adhoc", "passage", 8).expect("a preset");
     let model = Model::shipped("passage").expect("a policy of any size");
-    Trial::new(deployment(8, mesh), trial.scenario, model).seed(seed).episodes(EPISODES).keeping_steps().run()
+    let trial = Trial::new(deployment(8, mesh), trial.scenario, model).safety(Safety::deployed());
+    trial.seed(seed).episodes(EPISODES).keeping_steps().run()
 }
 
 /// Returns the share of the time in which a robot was cut off from the one with the state server, and the longest time
