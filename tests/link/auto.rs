@@ -59,7 +59,7 @@ impl Cell {
     }
 }
 
-/// What came of the states of a team.
+/// Results of the states of a team.
 #[derive(Clone, Copy, Debug, Default)]
 struct Told {
     /// States that left, for each host that should have them, and those that came in time.

@@ -27,7 +27,7 @@ fn id(host: u16, hosts: u16) -> HostId {
     if host == hosts { HostId::operator(1) } else { HostId(host) }
 }
 
-/// Who can speak as whom in a team.
+/// Keys of a team, by which members can or cannot speak as each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Keys {
     /// One key: each member as each.
@@ -110,7 +110,7 @@ const STEP: Span = Span::from_millis(50);
 const BEATS: u32 = 6;
 const MODES: u32 = 5;
 
-/// What came of soft state: for each message and host that it is for, the time until it was there \[ms\].
+/// Times of soft state: for each message and host that it is for, the time until it was there \[ms\].
 struct Told {
     /// Of heartbeats at the state server, and of instructions at all others.
     after_ms: [Vec<Option<f64>>; 2],

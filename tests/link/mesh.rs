@@ -171,7 +171,7 @@ fn random(stream: &mut Stream, most: Span) -> Span {
     Span::from_nanos(stream.random_range(0..most.as_nanos()))
 }
 
-/// What came of stops: of each the time until the last host had it \[ms\], if all had it in time; and the share of the
+/// Results of stops: of each the time until the last host had it \[ms\], if all had it in time; and the share of the
 /// time in which something was on the air, with the stops and without.
 struct Told {
     complete_ms: Vec<Option<f64>>,

@@ -1,4 +1,4 @@
-//! What is wrong with a Wi-Fi card for a link, and the command that mends it.
+//! Faults of a Wi-Fi card for a link, each with the command that mends it.
 //!
 //! Sources of the rules: `net/wireless/nl80211.c` (`nl80211_set_mcast_rate`: for IBSS, mesh point and OCB alone),
 //! `net/mac80211/ibss.c` (long slots in each IBSS at 2.4 GHz), hostapd's `hostapd.conf`, and the threads that

@@ -115,7 +115,9 @@ impl Network {
         let found = codec::blocks(plain).flatten().find(|(content, _)| *content == Content::Relayed);
         let block = found.map(|(_, body)| Block::read(body)).unwrap_or_default();
         let (router, key) = (&self.router, self.key.as_ref());
-        let permits = |origin, message: &Wire| router.forbids(origin, message).is_none();
+        let permits = |origin, message: &Wire| {
+            message.robot().index() < router.robots() && router.forbids(origin, message).is_none()
+        };
         for (origin, message) in mesh.relay.hear(now, from, &block, key, permits) {
             self.note_latch(now, origin, &message);
             if self.router.route(message.kind(), message.robot()).local {

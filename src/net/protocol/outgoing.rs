@@ -71,7 +71,7 @@ pub struct Outgoing {
     signing: Signing,
     /// Entries for the next datagram to all hosts.
     pub(super) carried: Block,
-    /// What the link does with data for all hosts, if it chooses how that leaves.
+    /// State of a link that chooses how data for all hosts leaves.
     pub(super) choice: Option<Box<Choice>>,
 }
 

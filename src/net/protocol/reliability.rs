@@ -100,7 +100,7 @@ pub struct Setup {
     pub hosts: Option<u16>,
     /// Whether hosts say emergency stops on, so that these cross hops.
     pub mesh: bool,
-    /// How the link decides in which way data for all hosts leaves.
+    /// Rule by which the link decides in which way data for all hosts leaves.
     pub choosing: Choosing,
     /// Whether hosts act at the same instants and share a radio, so that a link that chooses spreads their states.
     pub spread: bool,

@@ -280,7 +280,7 @@ pub struct Peer {
     /// Whether the host passes nothing on, on a mesh on which it would have had to for seconds.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub withholds: bool,
-    /// How this host sends its data on the link, and by which figures, if the link chooses.
+    /// Way in which this host sends its data on a link that chooses, with the figures behind it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sends: Option<String>,
 }

@@ -112,7 +112,7 @@ pub enum Air {
         /// Probability, 0 to 1.
         loss: f64,
     },
-    /// For a share of the time nobody hears anything: times of silence and times between them are exponential.
+    /// All messages are lost for a share of the time: times of silence and times between them are exponential.
     Bursts {
         /// Share of the time, 0 to 1.
         share: f64,
@@ -183,7 +183,7 @@ pub static CHANNELS: [Channel; 19] = [
     of_team("iid-30", "30 % of the messages are lost, independently", Air::Iid { loss: 0.3 }),
     of_team(
         "bursts",
-        "nobody hears anything for 30 % of the time, 0.5 s in the mean",
+        "all messages are lost for 30 % of the time, 0.5 s in the mean",
         Air::Bursts { share: 0.3, mean_s: 0.5 },
     ),
     of_team("delay", "messages arrive 100 ms late", Air::Delay { ms: 100.0 }),

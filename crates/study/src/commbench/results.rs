@@ -39,7 +39,7 @@ pub struct Row {
     pub delivery: Delivery,
 }
 
-/// What a policy's result is held against.
+/// Result with which a policy's result is compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Against {
@@ -60,7 +60,7 @@ pub struct Comparison {
     pub robots: usize,
     /// Kind or name of the policy.
     pub entrant: String,
-    /// What it is held against.
+    /// Kind of the result with which it is compared.
     pub of: Against,
     /// Name of the other policy or of the other channel.
     pub against: String,

@@ -135,7 +135,7 @@ pub fn verdicts(results: &Results) -> String {
     )
 }
 
-/// How a result in a table is read.
+/// Legend of a table of results.
 pub const LEGEND: &str = "Share of episodes that did not fail, and mean score: makespan with the task's time limit for \
 failures [s], or the task's cost; less is better. Behind each the verdict against the same policy on 'perfect' with as \
 many robots: + better, - worse, = tie. 'best': no other policy of the row is better, first by that share and then by \

@@ -8,7 +8,7 @@ pub(super) const GOAL: f64 = 0.993;
 const NEAR: f64 = 0.1;
 /// Largest number of transmissions of a multicast frame, in eighths.
 const MOST: u8 = 32;
-/// The same while nobody knows how long a frame takes.
+/// The same while the time of a frame is unknown.
 const MOST_UNKNOWN: u8 = 16;
 /// Time that a station waits for its turn on an idle medium \[s\]: the space AIFS and half of the least contention
 /// window of 802.11 at 2.4 GHz.
@@ -70,7 +70,7 @@ impl Measured {
         }
         let mean = self.mean_loss();
         let (whole, part) = (i32::from(eighths / 8), f64::from(eighths % 8) / 8.0);
-        // So many datagrams of eight leave once more than the others.
+        // The part is the share of datagrams that leave once more than the others.
         let lost = |loss: &f64| {
             // What lies near the mean differs by chance.
             let loss = if (loss - mean).abs() < NEAR { mean } else { *loss };

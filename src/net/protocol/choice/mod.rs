@@ -22,7 +22,7 @@ const HYSTERESIS: f64 = 0.2;
 /// Amount by which the expected share may fall below the goal before the copies change.
 const SLACK: f64 = 0.004;
 
-/// How a link decides in which way data for all hosts leaves.
+/// Rule by which a link decides in which way data for all hosts leaves.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Choosing {
     /// It has one way, that of its transport.
@@ -204,7 +204,7 @@ mod tests {
         };
         assert_eq!([0.0, 0.005, 0.05, 0.16].map(copies), [8, 8, 16, 23]);
         let unknown = Measured { multicast_s: None, unicast_s: None, ..team(10, 0.0) };
-        assert_eq!(unknown.best().0, Way::Multicast(16), "two while nobody knows what they cost");
+        assert_eq!(unknown.best().0, Way::Multicast(16), "two while their cost is unknown");
         let congested = Measured { congested: true, ..unknown };
         assert_eq!(congested.best().0, Way::Multicast(8));
     }

@@ -1,4 +1,5 @@
-//! What a link that chooses does with a datagram: how often it leaves, for whom, and when. Acts on the decision.
+//! Transmission on a link that chooses: number, receivers and times of the transmissions of a datagram, by the
+//! decision.
 
 use super::leaving::{Choice, Pending, Said};
 use super::{Pair, Way};

@@ -123,26 +123,21 @@ impl Relay {
         let Relay { own, pool, echoes, layouts, me, server, .. } = self;
         let mut entries: Vec<Frame> = Vec::new();
         let mut bytes = 0;
-        let mut fits = |entry: &Frame| {
-            let taken = entries.len() < MOST_ENTRIES && bytes + entry.len() <= MOST_BYTES;
-            if taken {
-                bytes += entry.len();
-                entries.push(Frame::clone(entry));
-            }
-            taken
-        };
         for (kind, robot) in own.due(now) {
             let to = if *server == me.host { None } else { Some(*server) };
-            let mut echoed = if kind == Kind::Release { Vec::new() } else { echoes.of(now, to) };
-            let number = echoes.number(now);
+            let echoed = if kind == Kind::Release { Vec::new() } else { echoes.of(now, to) };
+            let (origin, incarnation, number) = (me.host, me.incarnation, echoes.number(now));
             own.make(now, (kind, robot), |content, body| {
-                let echoes = std::mem::take(&mut echoed);
-                let entry = Entry { origin: me.host, incarnation: me.incarnation, number, content, echoes };
+                let entry = Entry { origin, incarnation, number, content, echoes: echoed };
                 proof::sealed(&entry, body, me.team, key, *server)
             });
         }
-        own.unsaid().for_each(|entry| _ = fits(entry));
-        pool.unsaid(now).iter().for_each(|entry| _ = fits(entry));
+        for entry in own.unsaid().chain(&pool.unsaid(now)) {
+            if entries.len() < MOST_ENTRIES && bytes + entry.len() <= MOST_BYTES {
+                bytes += entry.len();
+                entries.push(Frame::clone(entry));
+            }
+        }
         // That of a large team takes most of a datagram. What has no room beside data leaves in one of its own.
         entries.extend(layouts.values().filter(|layout| layout.is_due(now)).map(|layout| layout.entry(*me)));
         let lacks = self.lacks();
@@ -162,7 +157,7 @@ impl Relay {
         self.waits = self.has_unsaid(now).then_some(now);
     }
 
-    fn has_unsaid(&mut self, now: Time) -> bool {
+    fn has_unsaid(&self, now: Time) -> bool {
         self.own.unsaid().next().is_some()
             || !self.pool.unsaid(now).is_empty()
             || self.layouts.values().any(|layout| layout.is_due(now))

@@ -21,7 +21,7 @@ const CONTEXT: &[u8] = b"murmurate 2026-11-30 entry";
 /// Limit of the signatures that are checked of what one neighbour says: some 50 us each.
 const CHECKS: Rate = Rate { per_s: 100.0, burst: 100.0 };
 
-/// What is known of an entry.
+/// Result of the check of an entry's proof.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Verdict {
     /// Its origin has made it.

@@ -33,7 +33,7 @@ impl FromStr for Entered {
         if name.is_empty() || name.len() > LONGEST || !name.chars().all(plain) {
             return Err(format!("the name '{name}' is not of 1 to {LONGEST} letters, digits, '-', '_' and '.'"));
         }
-        // These name columns of the table, and what results are held against.
+        // These name columns of the table, and what results are compared with.
         if KINDS.contains(&name) || name == REFERENCE {
             return Err(format!("the name '{name}' is taken; choose another one"));
         }
