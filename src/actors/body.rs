@@ -47,6 +47,8 @@ pub enum In {
     Stop(Stop),
     /// Emergency stop state (latch) and phase of the team in an instruction of the state server.
     Instruction(Latch, Phase),
+    /// Order of an operator to switch off the motors of a robot that flies, wherever it is.
+    Cut,
     /// The Body's host is shutting down; the Body stops the robot for good.
     Leave,
 }
@@ -335,6 +337,11 @@ impl Core for Body {
                     out.push(Out::Follows(self.latch.latch()));
                 }
             }
+            In::Cut => match (&mut self.pilot, self.latch.latch().is_engaged()) {
+                (Some(pilot), true) => pilot.cut(),
+                // It is repeated; the command that sends it says what is the matter.
+                _ => tracing::debug!("{}: its motors stay on: the team is not stopped", self.robot),
+            },
             In::Leave => {
                 self.leaves = true;
                 self.halt(now, out);
@@ -538,6 +545,21 @@ mod tests {
         assert_eq!(driven(&mut body, 60), 0.0, "it recovers while its motors are off");
         charge(&mut body, 70, 95);
         assert_eq!(driven(&mut body, 80), 1.0, "it was charged");
+    }
+
+    #[test]
+    fn motors_are_switched_off_in_a_stopped_team_alone() {
+        let lift = std::rc::Rc::default();
+        let driver = Box::new(Simulated::with(Some(std::rc::Rc::clone(&lift))));
+        let settings = flights::Settings { height_m: 0.5, stop: Default::default() };
+        let mut body = Body::new((HostId(3), RobotId(0)), driver, Chassis::default()).flying(Some(settings));
+        let said =
+            |out: &[Out]| out.iter().any(|said| matches!(said, Out::Aloft(aloft) if aloft.flight == Flight::Grounded));
+        body.wake(Time::ZERO, &mut Vec::new());
+        handle(&mut body, 10, In::Instruction(Latch::default(), Phase::Resetting));
+        assert!(!said(&handle(&mut body, 20, In::Cut)), "it rises, and nobody has stopped the team");
+        handle(&mut body, 30, In::Stop(Stop::engage(HostId(9), Latch::default())));
+        assert!(said(&handle(&mut body, 40, In::Cut)));
     }
 
     #[test]

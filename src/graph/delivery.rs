@@ -54,7 +54,8 @@ struct Delivery {
     decided: BTreeSet<RobotId>,
     /// Robots that the host's World simulates.
     simulated: BTreeSet<RobotId>,
-    /// Real robots whose Bodies the host runs.
+    /// Robots whose Bodies the host runs, and the real ones of them.
+    driven: BTreeSet<RobotId>,
     real: BTreeSet<RobotId>,
     /// Robots whose readings hold what they say of themselves against.
     witnessed: BTreeSet<RobotId>,
@@ -110,6 +111,8 @@ impl Delivery {
                 self.controllers[m.robot.index()].send(controller::In::Aloft(m.flight));
             }
             Wire::Aloft(_) => {}
+            Wire::Cut(m) if self.driven.contains(&m.robot) => self.bodies[m.robot.index()].send(body::In::Cut),
+            Wire::Cut(_) => {}
             // Telemetry is for observers, which are outside the deployment.
             Wire::Telemetry(_) => {}
         }
@@ -174,6 +177,7 @@ pub(super) fn deliveries(
         decided: agents.iter().copied().collect(),
         simulated: simulated.iter().copied().collect(),
         real: driven.iter().copied().filter(|robot| !simulated.contains(robot)).collect(),
+        driven: driven.clone(),
         witnessed: RobotId::team(graph.bodies.len()).filter(|robot| graph.routes.is_witnessed(*robot)).collect(),
         hearers: firsts.iter().map(team_of).map(|robots| (robots.clone(), caches_of(&robots))).collect(),
         caches: graph.caches.clone(),

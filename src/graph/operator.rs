@@ -3,6 +3,7 @@
 //! Contains no output for people.
 
 use std::cell::{Cell, RefCell};
+use std::collections::BTreeMap;
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -13,8 +14,8 @@ use super::event::Event;
 use super::sockets::Shared;
 use crate::actors::network;
 use crate::actors::order::Order;
-use crate::messages::ids::{HostId, LinkId};
-use crate::messages::wire::{Observe, Place, Placed, Status, Wire};
+use crate::messages::ids::{HostId, LinkId, RobotId};
+use crate::messages::wire::{Cut, Flight, Observe, Place, Placed, Status, Wire};
 use crate::net::protocol::router::{Audience, Publishers, Route, Router};
 use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
@@ -83,6 +84,33 @@ fn repeat_place(clock: &Clock, network: &Mailbox<network::In>, place: Place) {
     network.send(network::In::Publish(Wire::Place(place)));
     let (again, network) = (clock.clone(), network.clone());
     clock.call(clock.now() + PLACE_PERIOD, Box::new(move || repeat_place(&again, &network, place)));
+}
+
+/// Period at which an operator repeats its order to switch motors off.
+const CUT_PERIOD: Span = Span::from_millis(50);
+
+/// Starts an operator that orders the motors of `robots` off until the process ends, and puts into `flights` what these
+/// robots say of their flights.
+pub fn cut(
+    (clock, readers): (&Clock, &mut Readers),
+    operator: Operator,
+    robots: Vec<RobotId>,
+    flights: Rc<RefCell<BTreeMap<RobotId, Option<Flight>>>>,
+) {
+    let by = operator.end.me.host;
+    let network = wire((clock, readers), operator, move |event| {
+        let Event::Message(Wire::Aloft(aloft)) = event else { return };
+        if let Some(known) = flights.borrow_mut().get_mut(&aloft.robot) {
+            *known = Some(aloft.flight);
+        }
+    });
+    repeat_cut(clock, &network, by, robots.into());
+}
+
+fn repeat_cut(clock: &Clock, network: &Mailbox<network::In>, by: HostId, robots: Rc<[RobotId]>) {
+    robots.iter().for_each(|robot| network.send(network::In::Publish(Wire::Cut(Cut { by, robot: *robot }))));
+    let (again, network) = (clock.clone(), network.clone());
+    clock.call(clock.now() + CUT_PERIOD, Box::new(move || repeat_cut(&again, &network, by, robots)));
 }
 
 /// Starts an operator that carries out the order `order`, such as an emergency stop. The caller can read the progress

@@ -1,9 +1,9 @@
-//! State of the flight of a robot that flies.
+//! State of the flight of a robot that flies, and the order to switch its motors off.
 
 use serde::{Deserialize, Serialize};
 
 use super::body::{Body, Unfit};
-use super::ids::RobotId;
+use super::ids::{HostId, RobotId};
 use super::numbered::numbered;
 
 /// State of the flight of a robot that flies, as the robot reports it.
@@ -48,6 +48,30 @@ pub struct Aloft {
     pub robot: RobotId,
     /// State of its flight. A robot that flies and has been ordered to land is `Landing`, whatever it does yet.
     pub flight: Flight,
+}
+
+/// Order of an operator to switch off the motors of a robot that flies, wherever it is. A Body obeys it only while the
+/// emergency stop is engaged, so it is never the first order. It is repeated until the robot says that it is down.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Cut {
+    /// Host number of the operator.
+    pub by: HostId,
+    /// Robot that is meant.
+    pub robot: RobotId,
+}
+
+impl Body for Cut {
+    fn robot(&self) -> RobotId {
+        self.robot
+    }
+
+    fn check(&self) -> Result<(), Unfit> {
+        Ok(())
+    }
+
+    fn author(&self) -> Option<HostId> {
+        Some(self.by)
+    }
 }
 
 impl Body for Aloft {

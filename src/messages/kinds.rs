@@ -6,7 +6,7 @@
 use serde::de::{Deserialize, DeserializeSeed, Deserializer};
 use serde::{Deserialize as Read, Serialize};
 
-use super::aloft::Aloft;
+use super::aloft::{Aloft, Cut};
 use super::body::{Body, Publisher, Receiver, Unfit};
 use super::exchange::{Latent, MotorCommand, Reading};
 use super::ids::{HostId, RobotId};
@@ -164,6 +164,8 @@ kinds! {
     Sensed = row(Publisher::Actuator, Receiver::Perceiver);
     /// State of the flight of a robot that flies, from its Body to its Controller and operators.
     Aloft = row(Publisher::Actuator, Receiver::Movers).and_operators().with_the_stop();
+    /// Order to switch off the motors of a robot that flies, from an operator to its Body.
+    Cut = row(Publisher::Operator, Receiver::Movers).with_the_stop();
 }
 
 impl Kind {

@@ -50,7 +50,7 @@ const NOT_RUN: &[(&str, &str)] = &[
 
 /// Subcommands that run until they are ended, or need a team that runs. Their flags are checked against the help, and
 /// their team file with `config check`.
-const LIVE: [&str; 7] = ["host", "launch", "doctor", "stop", "resume", "watch", "place"];
+const LIVE: [&str; 8] = ["host", "launch", "doctor", "stop", "resume", "watch", "place", "cut"];
 
 /// Pages that a new reader reads first.
 const FIRST: [&str; 6] = [

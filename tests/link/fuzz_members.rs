@@ -15,8 +15,8 @@ use murmurate::messages::geometry::{Motion, Pose, Task, Vec2};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::Latch;
 use murmurate::messages::wire::{
-    Heartbeat, KINDS, Located, Mode, MotorCommand, Observe, Phase, Place, Reading, Release, Round, Signature, Status,
-    Stop, Telemetry, Whereabouts, Wire,
+    Aloft, Cut, Flight, Heartbeat, KINDS, Located, Mode, MotorCommand, Observe, Phase, Place, Reading, Release, Round,
+    Signature, Status, Stop, Telemetry, Whereabouts, Wire,
 };
 use murmurate::net::protocol::codec::{self, Flags, Header};
 use murmurate::net::protocol::key::Key;
@@ -80,7 +80,8 @@ fn may_say(message: &Wire, recorded: &Wire) -> bool {
         Wire::Telemetry(telemetry) => telemetry.host == MEMBER,
         Wire::Located(located) => located.host == MEMBER && located.robots.is_empty(),
         Wire::Release(_) => message == recorded,
-        Wire::Mode(_) | Wire::Reading(_) | Wire::Sensed(_) | Wire::Observe(_) | Wire::Place(_) => false,
+        Wire::Aloft(aloft) => aloft.robot == own,
+        Wire::Mode(_) | Wire::Reading(_) | Wire::Sensed(_) | Wire::Observe(_) | Wire::Place(_) | Wire::Cut(_) => false,
     }
 }
 
@@ -91,7 +92,9 @@ fn any(stream: &mut Stream, recorded: &Wire) -> Wire {
     let number = [0, 1, 5, 6, 1 << 40][stream.random_range(0..5usize)];
     let latch = [Latch::clear, Latch::held, Latch::engaged][stream.random_range(0..3usize)](number);
     let (round, phase) = (Round { term: 1, episode: stream.random() }, Phase::from(stream.random_range(0..9u8)));
-    match stream.random_range(0..13u8) {
+    match stream.random_range(0..15u8) {
+        13 => Wire::Aloft(Aloft { robot, flight: Flight::from(stream.random_range(0..6u8)) }),
+        14 => Wire::Cut(Cut { by: host, robot }),
         0 => Wire::Heartbeat(Heartbeat::new(robot, round, phase, latch)),
         1 => latent(robot.0, stream.random()),
         2 => Wire::MotorCommand(MotorCommand { robot, velocity: Vec2::zeros(), valid_for: Span::ZERO }),

@@ -8,9 +8,10 @@ use murmurate::messages::latch::Latch;
 use murmurate::messages::place::{Located, Place, PlaceAnswer, Placed, Whereabouts};
 use murmurate::messages::trigger::Trigger;
 use murmurate::messages::wire::{
-    Celsius, Condition, Encoding, Features, Following, GuardReport, Health, Heartbeat, Hindrance, Latent, Leading,
-    MAX_BLOCK, MAX_CONDITIONS, MAX_FEATURES, MAX_HINDRANCES, MAX_MEMBERS, MAX_VALIDITY, MAX_VALUES, Mode, MotorCommand,
-    Observe, Phase, Reading, Reason, Release, Round, Seen, Sensed, Signature, Status, Stop, Telemetry, Wire,
+    Aloft, Celsius, Condition, Cut, Encoding, Features, Flight, Following, GuardReport, Health, Heartbeat, Hindrance,
+    Latent, Leading, MAX_BLOCK, MAX_CONDITIONS, MAX_FEATURES, MAX_HINDRANCES, MAX_MEMBERS, MAX_VALIDITY, MAX_VALUES,
+    Mode, MotorCommand, Observe, Phase, Reading, Reason, Release, Round, Seen, Sensed, Signature, Status, Stop,
+    Telemetry, Wire,
 };
 use murmurate::net::protocol::codec::{
     BLOCK_BYTES, Content, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES,
@@ -162,7 +163,17 @@ fn message() -> impl Strategy<Value = Wire> {
     });
     let (place, located) = placements();
     let (measured, said) = (prop_oneof![reading, sensed()], prop_oneof![latent, part()]);
-    prop_oneof![measured, said, command, beat(), mode, stop, status, observe, telemetry, place, located, release()]
+    let flight = prop_oneof![aloft(), cut()];
+    let ordered = prop_oneof![command, flight];
+    prop_oneof![measured, said, ordered, beat(), mode, stop, status, observe, telemetry, place, located, release()]
+}
+
+fn aloft() -> impl Strategy<Value = Wire> {
+    (robot(), 0..4u8).prop_map(|(robot, flight)| Wire::Aloft(Aloft { robot, flight: Flight::from(flight) }))
+}
+
+fn cut() -> impl Strategy<Value = Wire> {
+    (any::<u16>(), robot()).prop_map(|(by, robot)| Wire::Cut(Cut { by: HostId(by), robot }))
 }
 
 /// Returns values of senses, of which some are no echoes.

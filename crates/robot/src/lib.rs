@@ -14,6 +14,7 @@ pub mod build;
 mod checks;
 pub mod command;
 mod config;
+mod cut;
 pub mod destination;
 mod doctor;
 pub mod features;
@@ -105,6 +106,7 @@ pub fn program() -> Program {
         Command::of("stop", stop::run).logging(Logging::Urgent),
         Command::of("resume", stop::resume),
         Command::of("place", place::run),
+        Command::of("cut", cut::run).logging(Logging::Urgent),
         Command::with_subcommands("key", key::command::run),
         Command::with_subcommands("config", config::run),
     ];

@@ -6,7 +6,7 @@ use murmurate::messages::latch::Latch;
 use murmurate::messages::place::Whereabouts;
 use murmurate::messages::telemetry::GuardReport;
 use murmurate::messages::trigger::Trigger;
-use murmurate::messages::wire::Phase;
+use murmurate::messages::wire::{Flight, Phase};
 use murmurate::safety::guard::SafetyCounts;
 use murmurate::time::{Span, Time};
 
@@ -47,6 +47,8 @@ pub struct RobotView {
     pub body: Option<Latch>,
     /// Battery charge \[%\].
     pub battery: Option<u8>,
+    /// State of the flight of a robot that flies.
+    pub flight: Option<Flight>,
     /// Age of the oldest link, as the robot's host has reported it, and the time of the report.
     pub oldest_link: Option<(Time, Span)>,
     /// Counts of its guard's actions.

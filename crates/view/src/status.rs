@@ -217,6 +217,8 @@ pub struct PageStatus {
     pub down: Vec<u16>,
     /// Id of a robot, and its battery charge \[%\]; one pair for each robot of which it is known.
     pub battery: Vec<(u16, u8)>,
+    /// Id of a robot that flies, and the state of its flight in words.
+    pub flight: Vec<(u16, &'static str)>,
     /// Descriptions of the actors that a user of the page has crashed.
     pub killed: Vec<String>,
     /// Faults that a user of the page has put on links, by the link's name.

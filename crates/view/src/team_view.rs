@@ -139,6 +139,7 @@ impl TeamView {
             }
             Wire::Located(m) => self.located(now, m),
             Wire::Sensed(m) => self.sensed(now, m),
+            Wire::Aloft(m) => self.robot(m.robot, |robot| robot.flight = Some(m.flight)),
             _ => {}
         }
     }
@@ -382,6 +383,7 @@ impl TeamView {
             down: numbered().filter(|(_, robot)| robot.down).map(|(at, _)| at).collect(),
             link: numbered().filter_map(|(at, robot)| Some((at, robot.link_age_ms(now)?))).collect(),
             battery: numbered().filter_map(|(at, robot)| Some((at, robot.battery?))).collect(),
+            flight: numbered().filter_map(|(at, robot)| Some((at, robot.flight?.words()))).collect(),
             log: self.log.lines().iter().cloned().collect(),
             ..PageStatus::default()
         }

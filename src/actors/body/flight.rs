@@ -33,8 +33,12 @@ pub(super) struct Pilot {
     /// Time since which the emergency stop is engaged, and whether it is engaged or held now.
     stopped: Option<Time>,
     clear: bool,
+    /// Whether an operator has ordered the motors off, until the robot is on the ground.
+    cut: bool,
     /// Time of the last order, and the order.
     ordered: Option<(Time, Vertical)>,
+    /// Time of the next decision.
+    due: Option<Time>,
 }
 
 impl Pilot {
@@ -48,8 +52,15 @@ impl Pilot {
             heard: None,
             stopped: None,
             clear: false,
+            cut: false,
             ordered: None,
+            due: None,
         }
+    }
+
+    /// Takes an operator's order to switch the motors off.
+    pub(super) fn cut(&mut self) {
+        self.cut = self.flight != Some(Flight::Grounded);
     }
 
     /// Whether the robot is at its height and stays there, so that it may be driven.
@@ -79,6 +90,7 @@ impl Pilot {
         if flight == Flight::Grounded && self.lands() {
             self.ordered = None;
         }
+        self.cut &= flight != Flight::Grounded;
     }
 
     /// Takes the phase of the team from an instruction of the state server that arrived at `now`.
@@ -99,12 +111,19 @@ impl Pilot {
     /// Returns the order that is due at `now`, which the caller gives to the driver. `fit` says whether battery,
     /// temperature and driver permit motion, and `leaves` whether the host is shutting down.
     pub(super) fn order(&mut self, now: Time, fit: bool, leaves: bool) -> Option<Vertical> {
+        let order = self.decide(now, fit, leaves);
+        self.due = self.next(now);
+        order
+    }
+
+    fn decide(&mut self, now: Time, fit: bool, leaves: bool) -> Option<Vertical> {
         let heard = *self.heard.get_or_insert(now);
         let grounded = self.flight == Some(Flight::Grounded);
         let silent = now.since(heard) >= SILENCE;
         let stopped = self.settings.stop == InAir::Land && self.stopped.is_some_and(|at| now.since(at) >= HOVER);
         // A landing that has begun ends on the ground, whatever comes.
         let order = match () {
+            () if self.cut => Some(Vertical::Cut),
             () if grounded && self.rises && self.clear && fit && !leaves && !silent => {
                 Some(Vertical::Rise { height_m: self.settings.height_m })
             }
@@ -130,22 +149,23 @@ impl Pilot {
     fn is_repeated(&self, order: Vertical, given: bool) -> bool {
         let follows = match order {
             Vertical::Rise { .. } => matches!(self.flight, Some(Flight::Rising | Flight::Flying)),
-            Vertical::Land | Vertical::Cut => matches!(self.flight, Some(Flight::Landing | Flight::Grounded)),
+            Vertical::Land => matches!(self.flight, Some(Flight::Landing | Flight::Grounded)),
+            Vertical::Cut => self.flight == Some(Flight::Grounded),
         };
         !given || !follows
     }
 
+    /// Returns the time after `now` at which `order` has to be called next, if nothing else happens.
+    fn next(&self, now: Time) -> Option<Time> {
+        let again = self.ordered.map(|(at, _)| at + REPEAT);
+        let stopped = self.stopped.filter(|_| self.settings.stop == InAir::Land).map(|at| at + HOVER);
+        let silent = self.heard.map(|at| at + SILENCE);
+        [again, stopped, silent].into_iter().flatten().filter(|at| *at > now).min()
+    }
+
     /// Returns the time at which `order` has to be called next, if nothing else happens.
     pub(super) fn wake_at(&self) -> Option<Time> {
-        if self.flight == Some(Flight::Grounded) {
-            return self.ordered.map(|(at, _)| at + REPEAT).filter(|_| self.rises);
-        }
-        let lands = self.settings.stop == InAir::Land;
-        let begun = self.ordered.is_some_and(|(_, order)| order == Vertical::Land);
-        let after_stop = self.stopped.filter(|_| lands && !begun).map(|at| at + HOVER);
-        let after_silence = self.heard.filter(|_| !begun).map(|at| at + SILENCE);
-        let again = self.ordered.filter(|_| begun && self.flight != Some(Flight::Landing)).map(|(at, _)| at + REPEAT);
-        [after_stop, after_silence, again].into_iter().flatten().min()
+        self.due
     }
 }
 
@@ -226,6 +246,21 @@ mod tests {
         pilot.latched(at(1000), Latch::engaged(1));
         assert_eq!(pilot.order(at(2900), true, false), None);
         assert_eq!(pilot.order(at(2900), false, false), Some(Vertical::Land), "its battery is low");
+    }
+
+    #[test]
+    fn motors_that_an_operator_switches_off_are_ordered_off_until_the_robot_is_down() {
+        let mut pilot = aloft(InAir::Hover);
+        pilot.instructed(at(1000), Phase::Running);
+        pilot.latched(at(1000), Latch::engaged(1));
+        pilot.cut();
+        assert_eq!(pilot.order(at(1100), true, false), Some(Vertical::Cut));
+        pilot.take(Flight::Landing);
+        assert_eq!((pilot.order(at(1200), true, false), pilot.wake_at()), (None, Some(at(1600))));
+        assert_eq!(pilot.order(at(1600), true, false), Some(Vertical::Cut), "it has not come down");
+        pilot.take(Flight::Grounded);
+        pilot.cut();
+        assert_eq!(pilot.order(at(1700), true, false), None);
     }
 
     #[test]

@@ -176,7 +176,7 @@ fn update(view: &mut TeamView, orders: &mut Orders, now: Time, host: HostId, eve
 
 /// Decodes a published datagram; `None` if its message is of a kind that the page does not show.
 fn wanted(frame: &Frame) -> Option<Wire> {
-    let kinds = [Kind::Latent, Kind::Heartbeat, Kind::Mode, Kind::Status, Kind::Sensed];
+    let kinds = [Kind::Latent, Kind::Heartbeat, Kind::Mode, Kind::Status, Kind::Sensed, Kind::Aloft];
     match codec::first(frame).ok()? {
         Content::Message(kind) if kinds.contains(&kind) => codec::decode(frame).ok().map(|(_, message)| message),
         _ => None,

@@ -221,7 +221,7 @@ function showTime() {
 function showRows() {
   if (!scene || !world) return;
   const n = world.getUint16(2, true), s = status, table = $("rows").rows;
-  const late = new Map(s.late), battery = new Map(s.battery), worst = worstAges(n);
+  const late = new Map(s.late), battery = new Map(s.battery), flight = new Map(s.flight), worst = worstAges(n);
   const oldest = new Map(s.link), down = new Set(s.down);
   const guard = new Map(s.guard.map(([robot, name, age]) => [robot, guardText(name, age)]));
   const noBattery = battery.size === 0;
@@ -231,7 +231,8 @@ function showRows() {
     const cells = table[robot].cells;
     // A robot whose agent is not heard stands, whatever it said last.
     const gone = down.has(robot) ? "process died" : age > SILENT && age < 255 && s.phase !== 6 ? "missing" : "";
-    set(cells[1], gone || (phase === 255 ? "–" : PHASES[phase]));
+    const said = phase === 255 ? "–" : PHASES[phase], flies = flight.get(robot);
+    set(cells[1], gone || (flies ? `${said}, ${flies}` : said));
     cells[1].className = gone ? "bad" : "";
     set(cells[2], age === 255 ? "never" : age === 250 ? "> 5 s" : `${(age / 50).toFixed(2)} s`);
     cells[2].className = age > SILENT ? "bad" : "";
