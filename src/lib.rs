@@ -54,6 +54,6 @@ pub mod world;
 /// Digest of this package's sources. Packages with equal digests behave equally.
 pub const DIGEST: &str = env!("SOURCE_DIGEST");
 
-#[doc = include_str!("../README.md")]
+#[doc = include_str!("../docs/library.md")]
 #[cfg(doctest)]
-pub struct Readme;
+pub struct LibraryPage;
