@@ -2,12 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use super::mesh::Mesh;
 use super::receptions::Receptions;
 use super::revisions::Revisions;
 use super::robot_view::{RobotView, SILENT};
 use super::scans::Scans;
 use super::snapshot::{RobotState, Snapshot};
 use super::status::{Goals, Log, PageStatus, Scene, Success};
+use murmurate::graph::event::Event;
 use murmurate::messages::geometry::{Planar, Pose};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::{self, Latch};
@@ -19,6 +21,7 @@ use murmurate::results::episode::Episode;
 use murmurate::safety::guard::SafetyCounts;
 use murmurate::scenario::judge::Verdict;
 use murmurate::time::{Span, Time};
+use murmurate_report::heard::Heard;
 use murmurate_report::statistics::wilson_95;
 
 /// Age from which a heading is no longer drawn, because the robot may have turned since.
@@ -50,6 +53,7 @@ pub struct TeamView {
     episodes: usize,
     successes: usize,
     log: Log,
+    mesh: Mesh,
 }
 
 impl TeamView {
@@ -73,7 +77,31 @@ impl TeamView {
             episodes: 0,
             successes: 0,
             log: Log::default(),
+            mesh: Mesh::default(),
         }
+    }
+
+    /// Returns the view of a team whose hosts may be a mesh, with the names of its hosts and that of the state server.
+    pub fn on_mesh(mut self, hosts: Vec<String>, server: HostId) -> TeamView {
+        self.mesh = Mesh::new(hosts, server);
+        self
+    }
+
+    /// Updates the state with an event at a host that is no message: whom the host hears, or the roster in force.
+    pub fn take_event(&mut self, now: Time, host: HostId, event: Event) {
+        match event {
+            Event::Peers(peers, ways) => {
+                Heard::of(peers, ways).into_iter().for_each(|heard| self.heard(now, host, heard));
+            }
+            Event::Members(roster) => self.members(now, &roster.members.keys().copied().collect()),
+            _ => {}
+        }
+    }
+
+    /// Updates the state with whom a host hears, and how it sends. The log names robots that the state server has lost.
+    pub fn heard(&mut self, now: Time, host: HostId, heard: Heard) {
+        let lines = self.mesh.take(now, host, heard, &self.homes);
+        lines.iter().for_each(|line| self.note(now, line));
     }
 
     /// Returns the constant properties of the run: scenario, ground, robots and links.
@@ -382,6 +410,7 @@ impl TeamView {
             down: numbered().filter(|(_, robot)| robot.down).map(|(at, _)| at).collect(),
             link: numbered().filter_map(|(at, robot)| Some((at, robot.link_age_ms(now)?))).collect(),
             battery: numbered().filter_map(|(at, robot)| Some((at, robot.battery?))).collect(),
+            mesh: self.mesh.status(now, &self.homes),
             log: self.log.lines().iter().cloned().collect(),
             ..PageStatus::default()
         }
