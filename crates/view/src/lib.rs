@@ -13,6 +13,7 @@ pub mod command;
 #[cfg(feature = "foxglove")]
 mod foxglove_live;
 mod host;
+mod host_events;
 pub mod mesh;
 pub mod metrics;
 pub mod orders;

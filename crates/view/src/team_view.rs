@@ -9,7 +9,6 @@ use super::robot_view::{RobotView, SILENT};
 use super::scans::Scans;
 use super::snapshot::{RobotState, Snapshot};
 use super::status::{Goals, Log, PageStatus, Scene, Success};
-use murmurate::graph::event::Event;
 use murmurate::messages::geometry::{Planar, Pose};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::{self, Latch};
@@ -21,7 +20,6 @@ use murmurate::results::episode::Episode;
 use murmurate::safety::guard::SafetyCounts;
 use murmurate::scenario::judge::Verdict;
 use murmurate::time::{Span, Time};
-use murmurate_report::heard::Heard;
 use murmurate_report::statistics::wilson_95;
 
 /// Age from which a heading is no longer drawn, because the robot may have turned since.
@@ -36,7 +34,7 @@ const TURNED_RAD: f32 = 0.05;
 pub struct TeamView {
     scene: Scene,
     /// Host of each robot's agent, by robot id.
-    homes: Vec<HostId>,
+    pub(super) homes: Vec<HostId>,
     revisions: Revisions,
     robots: Vec<RobotView>,
     receptions: Receptions,
@@ -53,7 +51,7 @@ pub struct TeamView {
     episodes: usize,
     successes: usize,
     log: Log,
-    mesh: Mesh,
+    pub(super) mesh: Mesh,
 }
 
 impl TeamView {
@@ -79,29 +77,6 @@ impl TeamView {
             log: Log::default(),
             mesh: Mesh::default(),
         }
-    }
-
-    /// Returns the view of a team whose hosts may be a mesh, with the names of its hosts and that of the state server.
-    pub fn on_mesh(mut self, hosts: Vec<String>, server: HostId) -> TeamView {
-        self.mesh = Mesh::new(hosts, server);
-        self
-    }
-
-    /// Updates the state with an event at a host that is no message: whom the host hears, or the roster in force.
-    pub fn take_event(&mut self, now: Time, host: HostId, event: Event) {
-        match event {
-            Event::Peers(peers, ways) => {
-                Heard::of(peers, ways).into_iter().for_each(|heard| self.heard(now, host, heard));
-            }
-            Event::Members(roster) => self.members(now, &roster.members.keys().copied().collect()),
-            _ => {}
-        }
-    }
-
-    /// Updates the state with whom a host hears, and how it sends. The log names robots that the state server has lost.
-    pub fn heard(&mut self, now: Time, host: HostId, heard: Heard) {
-        let lines = self.mesh.take(now, host, heard, &self.homes);
-        lines.iter().for_each(|line| self.note(now, line));
     }
 
     /// Returns the constant properties of the run: scenario, ground, robots and links.
