@@ -30,6 +30,7 @@ use crate::net::protocol::roster::Roster;
 use crate::net::protocol::router::{Audience, Route, Router};
 use crate::net::protocol::sender::Peer;
 use crate::net::protocol::succession::Succession;
+use crate::net::protocol::ways::Ways;
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
@@ -61,8 +62,9 @@ pub enum Out {
     /// Numbers of datagrams that were sent, received and refused since the start of the Network, summed over all links
     /// of the host, for the Recorder.
     Counts(Box<LinkCounts>),
-    /// Other hosts on links with link reports, with what is known of each (incarnation, delay, loss), for display.
-    Peers(Vec<Peer>),
+    /// Other hosts on links with link reports, with what is known of each (incarnation, delay, loss), and by which ways
+    /// this host hears and sends, for display.
+    Peers(Vec<Peer>, Box<Ways>),
     /// Another live host has the id of this host and was started earlier. Sent once.
     Duplicate(DuplicateId),
     /// Datagram that was refused on the link without any effect but its count, for the record of the host.
@@ -405,8 +407,9 @@ impl Core for Network {
             out.push(Out::Counts(Box::new(self.counts())));
             let mut peers: Vec<Peer> = self.links.iter().flatten().flat_map(|link| link.peers(now)).collect();
             self.note_withholders(now, &mut peers);
-            if !peers.is_empty() {
-                out.push(Out::Peers(peers));
+            let ways = self.ways(now);
+            if !peers.is_empty() || !ways.are_plain() {
+                out.push(Out::Peers(peers, Box::new(ways)));
             }
             self.next_counts = now.next_on_grid(Span::ZERO, COUNTS_PERIOD);
         }

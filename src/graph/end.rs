@@ -75,7 +75,7 @@ impl HostEnd {
             }
             network::Out::Tap(frame) => report(Event::Published(&frame)),
             network::Out::Counts(counts) => report(Event::Counts(&counts)),
-            network::Out::Peers(peers) => report(Event::Peers(&peers)),
+            network::Out::Peers(peers, ways) => report(Event::Peers(&peers, &ways)),
             network::Out::Duplicate(duplicate) => report(Event::Duplicate(duplicate)),
             network::Out::Refused(link, cause, frame) => report(Event::Refused(link, cause, &frame)),
             network::Out::Keep(number, sealed) => {

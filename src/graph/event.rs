@@ -12,6 +12,7 @@ use crate::net::protocol::codec::Frame;
 use crate::net::protocol::link::{DuplicateId, LinkCounts, Refusal};
 use crate::net::protocol::roster::Roster;
 use crate::net::protocol::sender::Peer;
+use crate::net::protocol::ways::Ways;
 use crate::net::transport::Renewed;
 use crate::results::episode::AbortReason;
 use crate::runtime::shell::Mailbox;
@@ -42,8 +43,9 @@ pub enum Event<'a> {
     Recorded(&'a recorder::Out),
     /// Message that is delivered to actors of this process.
     Message(&'a Wire),
-    /// State of the other hosts on links with link reports, such as delay and loss.
-    Peers(&'a [Peer]),
+    /// State of the other hosts on links with link reports, such as delay and loss, and the ways by which the host
+    /// hears others over hops and sends.
+    Peers(&'a [Peer], &'a Ways),
     /// Numbers of datagrams sent, received and refused on the links of a host since its Network was started.
     Counts(&'a LinkCounts),
     /// Counts of the emulated radio channel of a link since the start of the run.
@@ -136,7 +138,7 @@ impl Events {
             | Event::Input(_)
             | Event::Refused(..)
             | Event::Recorded(_)
-            | Event::Peers(_)
+            | Event::Peers(..)
             | Event::Duplicate(_)
             | Event::Hardware(..)
             | Event::Remembered(_)

@@ -205,7 +205,7 @@ impl Rig {
             match said {
                 Out::Deliver(message) => self.delivered[host].push((self.now, message)),
                 Out::Counts(counts) => self.counts[host] = *counts,
-                Out::Peers(peers) => self.peers[host] = peers,
+                Out::Peers(peers, _) => self.peers[host] = peers,
                 Out::Duplicate(duplicate) => self.duplicates[host] = Some(duplicate),
                 Out::Admit(_, guest) => self.admitted[host].push(guest),
                 Out::Keep(number, _) => kept.push(number),

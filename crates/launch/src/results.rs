@@ -10,6 +10,7 @@ use murmurate::results::episode::{AbortReason, Episode};
 use murmurate::scenario::judge::Verdict;
 use murmurate::time::Span;
 use murmurate_report::event::{self, Counted, HostEvent, Unwritten};
+use murmurate_report::heard::Heard;
 
 /// Event of a run that the caller shows to the user.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,6 +27,8 @@ pub enum RunEvent {
     AllRun,
     /// An episode has its result.
     Episode(Episode),
+    /// Whom the process's host hears, and how it sends.
+    Heard(Heard),
     /// The reason is known now for which an episode was aborted whose result was there already.
     Reason(Episode),
 }
@@ -88,6 +91,7 @@ impl Results {
                 Some(HostEvent::Episode(episode)) => {
                     self.episode(episode).map(RunEvent::Episode).into_iter().for_each(observe);
                 }
+                Some(HostEvent::Heard(heard)) => observe(RunEvent::Heard(heard)),
                 // The host's log has a line about it.
                 Some(HostEvent::Link { .. }) => {}
                 Some(HostEvent::Counted(counted)) => self.counted[at] = counted,

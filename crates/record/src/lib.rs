@@ -54,6 +54,7 @@ use murmurate::messages::wire::Wire;
 use murmurate::net::protocol::codec::Frame;
 use murmurate::net::protocol::link::{LinkCounts, Refusal};
 use murmurate::net::protocol::sender::Peer;
+use murmurate::net::protocol::ways::Ways;
 use murmurate::results::episode::Episode;
 use murmurate::safety::guard::SafetyCounts;
 use murmurate::time::Time;
@@ -88,8 +89,9 @@ pub enum Event {
     Hardware(RobotId, Box<Hardware>),
     /// Numbers of datagrams that this host has sent, accepted and refused on its links, since its Network was started.
     Counts(HostId, Box<LinkCounts>),
-    /// State of the links between this host and the other hosts, as its link layer measures it: age, delay, loss.
-    Peers(HostId, Vec<Peer>),
+    /// State of the links between this host and the other hosts, as its link layer measures it: age, delay, loss; and
+    /// by which ways it hears others over hops and sends.
+    Peers(HostId, Vec<Peer>, Box<Ways>),
     /// A line that the program has logged. Only in records of runs in real time.
     Logged(Logged),
     /// Request to keep the events of the last seconds, in a record that keeps events only around such requests.
@@ -130,7 +132,7 @@ impl Event {
         if scope == Scope::Operator {
             return match event {
                 event::Event::Message(message) => Some(Event::Delivered(message.clone())),
-                event::Event::Peers(peers) => Some(Event::Peers(host, peers.to_vec())),
+                event::Event::Peers(peers, ways) => Some(Event::Peers(host, peers.to_vec(), Box::new(ways.clone()))),
                 event::Event::Counts(counts) => Some(Event::Counts(host, Box::new(*counts))),
                 _ => None,
             };
@@ -151,7 +153,7 @@ impl Event {
             event::Event::Remembered(said) => Event::Remembered(said),
             event::Event::Hardware(robot, hardware) => Event::Hardware(robot, Box::new(hardware.clone())),
             event::Event::Counts(counts) => Event::Counts(host, Box::new(*counts)),
-            event::Event::Peers(peers) => Event::Peers(host, peers.to_vec()),
+            event::Event::Peers(peers, ways) => Event::Peers(host, peers.to_vec(), Box::new(ways.clone())),
             event::Event::Sent(..)
             | event::Event::Arrived(..)
             | event::Event::Input(_)

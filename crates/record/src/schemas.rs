@@ -11,7 +11,9 @@ pub const EPISODE: &str = r#"{"title":"murmurate.Episode","type":"object","prope
 "judged":{"type":"string"}},"required":["repeat","episode"]}"#;
 
 /// JSON schema of messages about the links between a host and each other host, as this host measures them: age of the
-/// newest datagram received from the other host, delay, and loss in both directions.
+/// newest datagram received from the other host, delay, and loss in both directions. On a mesh, `hops` has the
+/// neighbour by which the newest soft state of each other host has come; of links that choose, `sends` has the
+/// decision.
 pub const LINKS: &str = r#"{"title":"murmurate.Links","type":"object","properties":{
 "host":{"type":"string","description":"who measures"},
 "peers":{"type":"array","items":{"type":"object","properties":{
@@ -19,7 +21,22 @@ pub const LINKS: &str = r#"{"title":"murmurate.Links","type":"object","propertie
 "age_s":{"type":["number","null"]},"spacing_s":{"type":"number"},"jitter_s":{"type":"number"},
 "loss":{"type":"number"},"passed":{"type":"integer"},"missing":{"type":"integer"},"told_loss":{"type":"number"},
 "uncertainty_s":{"type":["number","null"]},"round_trip_s":{"type":["number","null"]},
-"twins":{"type":"integer"},"withholds":{"type":"boolean"}}}}},"required":["host","peers"]}"#;
+"twins":{"type":"integer"},"former":{"type":"boolean"},"withholds":{"type":"boolean"},
+"sends":{"type":"string","description":"decision of a link that chooses, with its figures"}}}},
+"hops":{"type":"array","description":"absent without a mesh","items":{"type":"object","properties":{
+"host":{"type":"integer"},"by":{"type":"integer","description":"neighbour that said it first; host itself if direct"},
+"age_s":{"type":"number"}},"required":["host","by","age_s"]}},
+"overheard":{"type":"array","description":"of an operator: whom its neighbours hear","items":{"type":"object",
+"properties":{"at":{"type":"integer"},"host":{"type":"integer"},"loss":{"type":"number"},
+"age_s":{"type":"number"}}}},
+"sends":{"type":"array","description":"decisions of the links that choose","items":{"type":"object","properties":{
+"link":{"type":"integer"},"way":{"type":"string","description":"multicast or unicast"},
+"copies":{"type":"number","description":"transmissions of a state"},"states_hz":{"type":"number"},
+"sent_hz":{"type":"number"},"hosts":{"type":"integer"},"loss":{"type":"number"},"load":{"type":"number"},
+"multicast_s":{"type":["number","null"]},"unicast_s":{"type":["number","null"]},"congested":{"type":"boolean"},
+"slot":{"type":["object","null"],"properties":{"place":{"type":"integer"},"of":{"type":"integer"},
+"wait_s":{"type":"number"}}},"age_s":{"type":["number","null"]},"why":{"type":"string"}}}}},
+"required":["host","peers"]}"#;
 
 /// JSON schema of messages with the numbers of stops and reduced velocities by a robot's guard, by cause, since its
 /// Controller was started.

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use ::foxglove::messages::SceneUpdate;
 use prost::Message;
 use serde::Serialize;
-use serde_json::json;
+use serde_json::{Value, json};
 
 pub use super::drawing::Body;
 use super::foxglove::{self, Severity};
@@ -23,6 +23,8 @@ use murmurate::messages::phase::Phase;
 use murmurate::messages::round::Round;
 use murmurate::messages::wire::{Kind, Mode, Sensed, Wire};
 use murmurate::net::protocol::codec::{self, Content, Flags, Header};
+use murmurate::net::protocol::sender::Peer;
+use murmurate::net::protocol::ways::Ways;
 use murmurate::results::episode::Episode;
 use murmurate::safety::guard::SafetyCounts;
 use murmurate::time::{Span, Time};
@@ -168,8 +170,8 @@ impl Topics {
             Event::Counts(host, counts) => {
                 json_to(Topic::Counts, at, &json!({ "host": self.host(*host), "links": counts }), take);
             }
-            Event::Peers(host, peers) => {
-                json_to(Topic::Links, at, &json!({ "host": self.host(*host), "peers": peers }), take);
+            Event::Peers(host, peers, ways) => {
+                json_to(Topic::Links, at, &links(self.host(*host), peers, ways), take);
             }
             Event::Dropped(count) => {
                 json_to(Topic::Counts, at, &json!({ "host": "", "recording_dropped": count }), take);
@@ -360,6 +362,15 @@ fn encode_to(topic: Topic, at: u64, message: &impl Message, take: Take) {
 
 fn json_to(topic: Topic, at: u64, value: &impl Serialize, take: Take) {
     take(topic, at, &serde_json::to_vec(value).expect("counts and results are JSON"));
+}
+
+/// Returns the content of a message about the links of a host. Without a mesh and a link that chooses it has no ways.
+fn links(host: &str, peers: &[Peer], ways: &Ways) -> Value {
+    let mut said = json!({ "host": host, "peers": peers });
+    if let (Some(said), Value::Object(ways)) = (said.as_object_mut(), json!(ways)) {
+        said.extend(ways);
+    }
+    said
 }
 
 /// Returns the name of a phase in records.

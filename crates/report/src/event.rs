@@ -13,6 +13,8 @@ use murmurate::results::totals::Totals;
 use murmurate::safety::guard::SafetyCounts;
 use murmurate::time::Span;
 
+use crate::heard::Heard;
+
 /// Event that a host prints as a line of JSON for the program that started it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "kebab-case")]
@@ -41,6 +43,9 @@ pub enum HostEvent {
         /// Reason of the end.
         reason: AbortReason,
     },
+    /// Whom the host hears, over which last hops, and how it sends: once a second from a host with a mesh or a link
+    /// that chooses.
+    Heard(Heard),
     /// All counts of the host so far. They are reported once a second, and as the last event if the team has not
     /// finished.
     Counted(Counted),
@@ -182,6 +187,7 @@ mod tests {
                 episode: 3,
                 reason: AbortReason { cause: AbortCause::Stopped, robot: None, others: 0 },
             },
+            HostEvent::Heard(Heard::default()),
             HostEvent::Counted(counted.clone()),
             HostEvent::Finished(counted),
         ];

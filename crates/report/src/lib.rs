@@ -9,6 +9,7 @@ pub mod event;
 #[cfg(feature = "figures")]
 pub mod figures;
 pub mod grid;
+pub mod heard;
 pub mod outcomes;
 pub mod statistics;
 pub mod summary;

@@ -19,6 +19,7 @@ use murmurate::messages::wire::Kind;
 use murmurate::net::protocol::codec::{self, Content};
 use murmurate::net::protocol::counts::LinkCounts;
 use murmurate::net::protocol::sender::Peer;
+use murmurate::net::protocol::ways::{LastHop, Sending, Ways};
 use murmurate::time::Span;
 
 /// Upper edges of the bins in the histogram of message ages \[s\].
@@ -38,6 +39,7 @@ pub struct Metrics {
     received: BTreeMap<Kind, u64>,
     links: BTreeMap<HostId, LinkCounts>,
     peers: BTreeMap<HostId, Vec<Peer>>,
+    ways: BTreeMap<HostId, Ways>,
     ages: Histogram,
     /// Number of events missing in this process's record; `None` without a record.
     recording_dropped: Option<u64>,
@@ -47,8 +49,9 @@ impl Metrics {
     /// Returns the metrics of a process with all counts at zero. `hosts` are the names of the team's hosts, in the
     /// order of their ids.
     pub fn new(hosts: Vec<String>) -> Metrics {
-        let (published, received, links, peers) = Default::default();
-        Metrics { hosts, published, received, links, peers, ages: Histogram::new(EDGES_S), recording_dropped: None }
+        let (published, received, links, peers, ways) = Default::default();
+        let ages = Histogram::new(EDGES_S);
+        Metrics { hosts, published, received, links, peers, ways, ages, recording_dropped: None }
     }
 
     /// Updates the counts with an event of the host `host`.
@@ -61,7 +64,10 @@ impl Metrics {
             }
             Event::Message(message) => *self.received.entry(message.kind()).or_default() += 1,
             Event::Counts(counts) => drop(self.links.insert(host, *counts)),
-            Event::Peers(peers) => drop(self.peers.insert(host, peers.to_vec())),
+            Event::Peers(peers, ways) => {
+                self.peers.insert(host, peers.to_vec());
+                self.ways.insert(host, ways.clone());
+            }
             _ => {}
         }
     }
@@ -89,6 +95,7 @@ impl Metrics {
         self.messages(&mut all);
         let help = "Share of a host's newest 64 datagrams that did not arrive at first";
         gauges(&mut all, "link_loss_ratio", help, self.losses());
+        self.ways(&mut all);
         let help =
             "Ages of the newest messages, sampled 20 times a second: of a simulation's links, else of the robots";
         all.register("message_age_seconds", help, self.ages.clone());
@@ -125,6 +132,33 @@ impl Metrics {
         let sum: LinkCounts = self.links.values().copied().sum();
         let refusals = sum.refusals().into_iter().map(|(cause, count)| (vec![("cause", cause.to_owned())], count));
         counters(all, "datagrams_refused", "Datagrams and messages refused or dropped on arrival, by cause", refusals);
+    }
+
+    /// Adds by which ways hosts hear others over hops, and send on links that choose.
+    fn ways(&self, all: &mut Registry) {
+        let hops = |of: fn(&LastHop) -> f64| {
+            let all = self.ways.iter().flat_map(|(host, ways)| ways.hops.iter().flatten().map(move |hop| (host, hop)));
+            let labels =
+                |host: &HostId, hop: &LastHop| vec![("host", self.name(*host)), ("peer", self.name(HostId(hop.host)))];
+            all.map(|(host, hop)| (labels(host, hop), of(hop))).collect::<Vec<_>>()
+        };
+        let help = "Time since the newest soft state of another host of a mesh has come";
+        gauges(all, "soft_state_age_seconds", help, hops(|hop| hop.age_s));
+        let help = "1 if the newest soft state of another host of a mesh has come from itself, 0 if by others";
+        gauges(all, "soft_state_direct", help, hops(|hop| f64::from(u8::from(hop.by == hop.host))));
+        let sends = |of: fn(&Sending) -> f64| {
+            let all = self.ways.iter().flat_map(|(host, ways)| ways.sends.iter().map(move |sends| (host, sends)));
+            let labels = |host: &HostId, sends: &Sending| {
+                vec![("host", self.name(*host)), ("link", sends.link.to_string()), ("way", sends.way.clone())]
+            };
+            all.map(|(host, sends)| (labels(host, sends), of(sends))).collect::<Vec<_>>()
+        };
+        let help = "Transmissions of each state on a link that chooses, by the way that it has chosen";
+        gauges(all, "link_transmissions", help, sends(|sends| sends.copies));
+        let help = "Rate at which states leave on a link that chooses";
+        gauges(all, "link_states_hertz", help, sends(|sends| sends.sent_hz));
+        let help = "Share of the time in which the team's states would occupy the medium of a link that chooses";
+        gauges(all, "link_load_ratio", help, sends(|sends| sends.load));
     }
 
     fn losses(&self) -> impl Iterator<Item = (Labels, f64)> {

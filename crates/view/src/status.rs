@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use serde::Serialize;
 
+use super::mesh::MeshStatus;
 use super::scans::ScanForm;
 use murmurate::messages::geometry::Planar;
 use murmurate::messages::ids::RobotId;
@@ -223,6 +224,9 @@ pub struct PageStatus {
     pub killed: Vec<String>,
     /// Faults that a user of the page has put on links, by the link's name.
     pub impaired: BTreeMap<String, LinkImpairment>,
+    /// Whom robots hear directly, and over how many hops they are heard; null in a team without a mesh and without a
+    /// link that chooses.
+    pub mesh: Option<MeshStatus>,
     /// Newest lines of the log.
     pub log: Vec<LogLine>,
     /// Whether the run is over, or this process has ended the page.

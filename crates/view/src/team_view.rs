@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use super::mesh::Mesh;
 use super::receptions::Receptions;
 use super::revisions::Revisions;
 use super::robot_view::{RobotView, SILENT};
@@ -33,7 +34,7 @@ const TURNED_RAD: f32 = 0.05;
 pub struct TeamView {
     scene: Scene,
     /// Host of each robot's agent, by robot id.
-    homes: Vec<HostId>,
+    pub(super) homes: Vec<HostId>,
     revisions: Revisions,
     robots: Vec<RobotView>,
     receptions: Receptions,
@@ -50,6 +51,7 @@ pub struct TeamView {
     episodes: usize,
     successes: usize,
     log: Log,
+    pub(super) mesh: Mesh,
 }
 
 impl TeamView {
@@ -73,6 +75,7 @@ impl TeamView {
             episodes: 0,
             successes: 0,
             log: Log::default(),
+            mesh: Mesh::default(),
         }
     }
 
@@ -384,6 +387,7 @@ impl TeamView {
             link: numbered().filter_map(|(at, robot)| Some((at, robot.link_age_ms(now)?))).collect(),
             battery: numbered().filter_map(|(at, robot)| Some((at, robot.battery?))).collect(),
             flight: numbered().filter_map(|(at, robot)| Some((at, robot.flight?.words()))).collect(),
+            mesh: self.mesh.status(now, &self.homes),
             log: self.log.lines().iter().cloned().collect(),
             ..PageStatus::default()
         }

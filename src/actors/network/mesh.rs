@@ -1,6 +1,8 @@
 //! The part of a Network for links on which not all hosts hear each other: it says emergency stops on, and passes on
 //! the soft state of others.
 
+use std::collections::BTreeMap;
+
 use super::{Network, Out, Route, transmit};
 use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Stop, Wire};
@@ -9,10 +11,15 @@ use crate::net::protocol::counts::LinkCounts;
 use crate::net::protocol::flood::{Flood, NEIGHBOUR};
 use crate::net::protocol::link::{Identity, LinkState};
 use crate::net::protocol::relay::{Block, Relay};
+use crate::net::protocol::report::Report;
 use crate::net::protocol::router::Audience;
 use crate::net::protocol::sender::Peer;
+use crate::net::protocol::ways::{Overheard, Ways};
 use crate::random::Stream;
 use crate::time::Time;
+
+/// Largest number of pairs of hosts that an operator keeps: those of a team of 64.
+const MOST_OVERHEARD: usize = 4096;
 
 /// Links of one host that are a mesh, and what it says on.
 #[derive(Debug)]
@@ -23,6 +30,8 @@ pub(super) struct Mesh {
     relay: Relay,
     /// Neighbours that pass nothing on, as the log has said.
     withholders: Vec<HostId>,
+    /// Whom each neighbour hears: its loss of 64, and when it has said so. Kept by operators alone.
+    overheard: BTreeMap<(HostId, HostId), (u8, Time)>,
 }
 
 impl Mesh {
@@ -34,12 +43,25 @@ impl Mesh {
             flood,
             relay: Relay::new(me, server, stream),
             withholders: Vec::new(),
+            overheard: BTreeMap::new(),
         })
     }
 
     /// Returns the counts of entries.
     pub(super) fn counts(&self) -> LinkCounts {
         self.relay.counts()
+    }
+
+    /// Takes note of whom the neighbour `from`, a host of the team, hears by the link report in its datagram.
+    fn overhear(&mut self, now: Time, from: HostId, plain: &[u8]) {
+        for (content, body) in codec::blocks(plain).flatten() {
+            let Ok(report) = Report::read(content, body) else { continue };
+            for entry in report.heard.iter().filter(|entry| !entry.host.is_operator() && entry.host != from) {
+                if self.overheard.len() < MOST_OVERHEARD || self.overheard.contains_key(&(from, entry.host)) {
+                    self.overheard.insert((from, entry.host), (entry.lost, now));
+                }
+            }
+        }
     }
 
     pub(super) fn due(&self) -> Option<Time> {
@@ -115,6 +137,9 @@ impl Network {
         let found = codec::blocks(plain).flatten().find(|(content, _)| *content == Content::Relayed);
         let block = found.map(|(_, body)| Block::read(body)).unwrap_or_default();
         let (router, key) = (&self.router, self.key.as_ref());
+        if mesh.flood.is_none() && !from.is_operator() {
+            mesh.overhear(now, from, plain);
+        }
         let permits = |origin, message: &Wire| {
             message.robot().index() < router.robots() && router.forbids(origin, message).is_none()
         };
@@ -123,6 +148,18 @@ impl Network {
             if self.router.route(message.kind(), message.robot()).local {
                 out.push(Out::Deliver(message));
             }
+        }
+    }
+
+    /// Returns by which ways this host hears others over hops, and sends on links that choose.
+    pub(super) fn ways(&self, now: Time) -> Ways {
+        let Network { mesh, links, .. } = self;
+        let overheard = mesh.iter().flat_map(|mesh| &mesh.overheard);
+        let overheard = overheard.map(|(pair, (lost, since))| Overheard::new(*pair, *lost, now.since(*since)));
+        Ways {
+            hops: mesh.as_ref().map(|mesh| mesh.relay.last_hops(now)),
+            overheard: overheard.collect(),
+            sends: links.iter().flatten().filter_map(|link| link.sending(now)).collect(),
         }
     }
 

@@ -21,6 +21,7 @@ use super::report::{DatagramId, ENTRY_BYTES, MAX_IDS, NUMBERED_ENTRY_BYTES, Stam
 use super::router::Audience;
 use super::sender::Peer;
 use super::senders::MAX_SENDERS;
+use super::ways::Sending;
 use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Stop, Wire};
 use crate::random::Stream;
@@ -385,6 +386,11 @@ impl LinkState {
         let sends = self.outgoing.choice.as_ref().map(|choice| choice.decision().to_string());
         let peers = self.incoming.peers(now).chain(former).filter(move |_| told);
         peers.map(move |peer| Peer { sends: sends.clone(), ..peer })
+    }
+
+    /// Returns how this host sends on a link that chooses; `None` if its way is fixed.
+    pub(crate) fn sending(&self, now: Time) -> Option<Sending> {
+        self.outgoing.choice.as_ref().map(|choice| choice.told(now, self.id))
     }
 
     /// Returns the time at which `wake` has to be called next; `None` if nothing is due.

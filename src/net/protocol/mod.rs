@@ -42,4 +42,5 @@ mod tags;
 mod trouble;
 mod unpack;
 mod urgent;
+pub mod ways;
 mod window;

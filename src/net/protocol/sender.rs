@@ -225,6 +225,13 @@ impl Sender {
 }
 
 impl Peer {
+    /// Returns a summary of an accepted host that was heard `age_s` ago \[s\], with this share of datagrams lost in
+    /// both directions and all else unknown, as tests of other packages need it.
+    pub fn heard(link: u16, host: u16, age_s: f64, loss: f64) -> Peer {
+        let unknown = Sender::new(Time::ZERO, None).peer(Time::ZERO, LinkId(link), (HostId(host), 0), true);
+        Peer { age_s: Some(age_s), loss, reported_loss: loss, ..unknown }
+    }
+
     /// Returns a summary of a host that speaks the former version of the wire format.
     pub(crate) fn former(now: Time, link: LinkId, host: HostId) -> Peer {
         Peer { is_former: true, ..Sender::new(now, None).peer(now, link, (host, 0), false) }

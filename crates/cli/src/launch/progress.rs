@@ -41,6 +41,7 @@ impl Progress {
                 talk(&text);
                 self.send(TeamEvent::Back(at, text));
             }
+            RunEvent::Heard(heard) => self.send(TeamEvent::Heard(at, heard)),
             RunEvent::AllRun => {
                 let run = if self.names.len() == 1 { "runs" } else { "run" };
                 let processes = counted(self.names.len(), "process");

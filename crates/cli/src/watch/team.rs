@@ -33,6 +33,7 @@ use murmurate::scenario::layout::Layouts;
 
 use murmurate::time::{Span, Time};
 use murmurate_record::stage::Stage;
+use murmurate_report::heard::Heard;
 use murmurate_robot::output::talk;
 use murmurate_robot::recording::LiveRecord;
 use murmurate_robot::recording::RecordFlags;
@@ -59,6 +60,8 @@ pub enum TeamEvent {
     Died(usize, String),
     /// The process of the host with this index is back; the text names it.
     Back(usize, String),
+    /// Whom the host with this index hears, and how it sends.
+    Heard(usize, Heard),
     /// The run is over.
     Over(Ending),
 }
@@ -145,7 +148,10 @@ impl Page {
         let homes = RobotId::team(deployment.robots).map(|robot| routes.agent_host(robot)).collect();
         let (server, publisher) = flags.open(scene.clone(), Control::Team)?;
         Ok(Page {
-            view: TeamView::new(scene, homes, deployment.hosts.len()),
+            view: {
+                let names = deployment.hosts.iter().map(|host| host.name.clone()).collect();
+                TeamView::new(scene, homes, deployment.hosts.len()).on_mesh(names, routes.server_host())
+            },
             server,
             publisher,
             events,
@@ -199,11 +205,9 @@ impl Page {
                     if let Event::Counts(counts) = event {
                         counted.set(counts.key_trouble());
                     }
-                    if let Event::Members(roster) = event {
-                        let members = roster.members.keys().copied().collect();
-                        seen.borrow_mut().members(time.now(), &members);
-                    }
-                    let Event::Message(message) = event else { return };
+                    let Event::Message(message) = event else {
+                        return seen.borrow_mut().take_event(time.now(), me.host, event);
+                    };
                     if let Wire::Status(status) = message {
                         given.borrow_mut().receive(time.now(), status);
                     }
@@ -318,6 +322,7 @@ impl Desk {
                     self.view.borrow_mut().process(now, (id(host), false), &text);
                     self.feed.status_at_once();
                 }
+                Some(Ok(TeamEvent::Heard(host, heard))) => self.view.borrow_mut().heard(now, id(host), heard),
                 Some(Ok(TeamEvent::Over(ending))) => self.ending = Some(ending),
                 Some(Err(TryRecvError::Disconnected)) if self.ending.is_none() => {
                     let text = "The program that ran the team has ended.".to_owned();

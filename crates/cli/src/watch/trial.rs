@@ -91,8 +91,9 @@ pub fn run(
     let homes = RobotId::team(robots).map(|robot| routes.agent_host(robot)).collect();
     let scene = scene(trial, policy);
     let (server, publisher) = flags.page.page.open(scene.clone(), Control::Emulation)?;
-    let view = Rc::new(RefCell::new(TeamView::new(scene, homes, trial.deployment.hosts.len())));
-    let names = trial.deployment.hosts.iter().map(|host| host.name.clone()).collect();
+    let names: Vec<String> = trial.deployment.hosts.iter().map(|host| host.name.clone()).collect();
+    let view = TeamView::new(scene, homes, names.len()).on_mesh(names.clone(), routes.server_host());
+    let view = Rc::new(RefCell::new(view));
     let metrics = Rc::new(RefCell::new(Metrics::new(names)));
     let mut last = Time::ZERO;
     let mut desk = Desk {
@@ -167,6 +168,7 @@ fn update(view: &mut TeamView, orders: &mut Orders, now: Time, host: HostId, eve
         Event::Truth(truth) => view.see(truth),
         Event::Recorded(recorder::Out::Episode(episode, _)) => view.judged(now, episode),
         Event::Safety(robot, counts) => view.guarded(now, robot, counts),
+        Event::Peers(..) => view.take_event(now, host, event),
         Event::Hardware(robot, hardware) => {
             hardware.battery.into_iter().for_each(|percent| view.charged(robot, percent));
         }

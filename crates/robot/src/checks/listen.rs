@@ -18,11 +18,13 @@ use murmurate::messages::wire::{Condition, Health, Kind, Phase, REVISION, Wire};
 use murmurate::net::protocol::link::LinkCounts;
 use murmurate::net::protocol::reliability::Setup;
 use murmurate::net::protocol::sender::Peer;
+use murmurate::net::protocol::ways::Ways;
 use murmurate::net::transport::{Filter, Place};
 use murmurate::runtime::real::run_real;
 use murmurate::time::{Span, Time};
 
 use super::finding::{Found, Subject};
+use super::ways;
 use crate::key;
 use crate::team;
 use murmurate::fitness::Fitness;
@@ -61,6 +63,8 @@ pub fn hindrance(phase: Phase, latch: Latch) -> Option<String> {
 #[derive(Default)]
 struct Received {
     peers: BTreeMap<(u16, u16), Peer>,
+    /// Over which hops hosts of a mesh are heard, and what links that choose have measured.
+    ways: Ways,
     counts: LinkCounts,
     /// Host id of the second of the two operators. If the first one receives its answers, then
     /// datagrams that this machine sends come back to it (loopback).
@@ -114,11 +118,13 @@ pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Reception> {
         for (number, host) in first.deployment.hosts.iter().enumerate() {
             let uses = all.iter().any(|team| usize::from(team.host.0) == number && team.links[at].is_some());
             let peer = received.peers.get(&(link, u16::try_from(number).expect("hosts are counted in u16")));
+            let over = || ways::over_hops(&first.deployment, (link, number), &received.peers, &received.ways);
             if uses || peer.is_some() {
-                found.push(about(name, &host.name, peer));
+                found.push(over().unwrap_or_else(|| about(name, &host.name, peer)));
             }
         }
     }
+    found.extend(ways::findings(&first.deployment, &received.peers, &received.ways));
     found.extend(received.counts.key_trouble().map(|trouble| {
         let what = Subject::General("key".to_owned());
         (Fitness::Fail, what, trouble.to_owned(), "give this machine and all hosts the same key".to_owned())
@@ -204,8 +210,10 @@ fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds
         |clock, readers| {
             let heard = Rc::clone(&received);
             let listener = wire((clock, readers), listener, move |said| match said {
-                Event::Peers(peers) => {
-                    heard.borrow_mut().peers = peers.iter().map(|p| ((p.link, p.host), p.clone())).collect();
+                Event::Peers(peers, ways) => {
+                    let mut heard = heard.borrow_mut();
+                    heard.peers = peers.iter().map(|p| ((p.link, p.host), p.clone())).collect();
+                    heard.ways = ways.clone();
                 }
                 Event::Counts(counts) => heard.borrow_mut().counts = *counts,
                 Event::Message(Wire::Telemetry(telemetry)) => {

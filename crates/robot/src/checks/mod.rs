@@ -13,6 +13,7 @@ mod local;
 mod notes;
 mod senses;
 mod table;
+mod ways;
 mod wiggle;
 
 pub use finding::{Check, Subject};

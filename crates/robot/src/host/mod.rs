@@ -279,6 +279,7 @@ impl Watch {
         }
         if now.since(self.counted) >= COUNTED_PERIOD {
             self.counted = now;
+            seen.heard.take().into_iter().for_each(|heard| outlets.print_event(&HostEvent::Heard(heard)));
             outlets.print_event(&HostEvent::Counted(seen.counted(graph)));
         }
         if let Some(timeout) = self.watchdog

@@ -20,6 +20,7 @@ use murmurate::results::hardware::RobotHardware;
 use murmurate::safety::guard::SafetyCounts;
 use murmurate::time::{Span, Time};
 use murmurate_report::event::{Counted, HostEvent, RobotSafety, Unwritten};
+use murmurate_report::heard::Heard;
 
 /// State of a running host, which is collected for its outputs: results, counts, record and metrics.
 pub struct Seen {
@@ -35,6 +36,8 @@ pub struct Seen {
     pub safety: RefCell<BTreeMap<RobotId, SafetyCounts>>,
     /// Condition of the hardware of each real robot that the host drives, as its driver reported it.
     pub hardware: RefCell<BTreeMap<RobotId, RobotHardware>>,
+    /// Whom the host hears and how it sends, as its Network said last; `None` without a mesh or a link that chooses.
+    pub heard: RefCell<Option<Heard>>,
     /// Outputs of the host: stdout, trajectories and service manager.
     pub outlets: Outlets,
     /// Names of the deployment's links, by id.
@@ -63,6 +66,7 @@ impl Seen {
             counts,
             safety,
             hardware,
+            heard: RefCell::default(),
             outlets,
             links,
             duplicate,
@@ -99,7 +103,6 @@ impl Seen {
         match heard {
             Event::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => self.over.set(true),
             Event::Message(_)
-            | Event::Peers(_)
             | Event::Arrived(..)
             | Event::Perceived(..)
             | Event::Radio(..)
@@ -112,6 +115,7 @@ impl Seen {
             | Event::Recorded(_) => {}
             Event::Roster(number, sealed) => self.keeper.iter().for_each(|keeper| keeper.keep(number, sealed)),
             Event::Counts(counts) => self.counts.set(*counts),
+            Event::Peers(peers, ways) => drop(self.heard.replace(Heard::of(peers, ways))),
             Event::Safety(robot, counts) => drop(self.safety.borrow_mut().insert(robot, counts)),
             Event::Hardware(robot, hardware) => {
                 let mut all = self.hardware.borrow_mut();

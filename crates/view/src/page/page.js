@@ -152,7 +152,7 @@ function row(robot) {
   const row = document.createElement("tr"), name = document.createElement("button");
   name.textContent = robot;
   name.setAttribute("aria-label", `links of robot ${robot}`);
-  for (let cell = 0; cell < 7; cell++) row.insertCell();
+  for (let cell = 0; cell < 8; cell++) row.insertCell();
   row.cells[0].append(name);
   row.onclick = () => choose(robot === chosen ? null : robot);
   return row;
@@ -203,11 +203,35 @@ function showStatus() {
   $("resume").disabled = !may || !(s.latch === "held" || s.pause !== "no");
   $("pause").disabled = !may || s.latch !== "clear" || s.pause !== "no";
   set($("killed"), s.killed.length ? `down: ${s.killed.join(", ")}` : "");
+  showMesh();
   showRows();
   showLog();
   showLinks();
   showAges();
 }
+
+// Who hears whom, whom the state server has lost, and how hosts send, as hosts report it.
+function showMesh() {
+  const mesh = status.mesh;
+  $("mesh").hidden = !mesh;
+  $("show-hears").closest("label").hidden = !mesh;
+  if (!mesh) return;
+  dirty = true;
+  const farthest = Math.max(0, ...mesh.hops.map(one => one.hops));
+  set($("mesh-to"), mesh.hops.length ? `(up to ${farthest} hops to ${mesh.to})` : "(no hops)");
+  const line = (id, text) => { $(id).hidden = !text; set($(id), text); };
+  line("mesh-lost", mesh.lost.length ? `the state server has lost robots ${mesh.lost.join(", ")}` : "");
+  line("mesh-withholding", mesh.withholding.length ? `passing nothing on: ${mesh.withholding.join(", ")}` : "");
+  $("mesh-sends").replaceChildren(...mesh.sends.map(({ host, how, why }) => {
+    const item = document.createElement("li"), because = document.createElement("small");
+    because.textContent = why;
+    item.append(`${host}: ${how} `, because);
+    return item;
+  }));
+}
+
+// Pairs of robots of which the first hears the second directly: "1,2" and the share lost [%].
+function heardPairs() { return new Map(status.mesh.hears.map(([at, other, loss]) => [`${at},${other}`, loss])); }
 
 function recordTime() { return world ? world.getUint32(4, true) / 1000 : 0; }
 
@@ -224,6 +248,9 @@ function showRows() {
   const late = new Map(s.late), battery = new Map(s.battery), flight = new Map(s.flight), worst = worstAges(n);
   const oldest = new Map(s.link), down = new Set(s.down);
   const guard = new Map(s.guard.map(([robot, name, age]) => [robot, guardText(name, age)]));
+  const hops = new Map((s.mesh ? s.mesh.hops : []).map(one => [one.robot, one])), lost = new Set(s.mesh ? s.mesh.lost : []);
+  const noHops = hops.size === 0 && lost.size === 0;
+  $("hops-head").hidden = noHops;
   const noBattery = battery.size === 0;
   $("battery-head").hidden = noBattery;
   for (let robot = 0; robot < Math.min(n, table.length); robot++) {
@@ -244,10 +271,15 @@ function showRows() {
     cells[3].className = (told === undefined ? link > 50 : told > 500) ? "bad" : "";
     // A process that does not receive the guards' counts shows a dash and not 0.
     set(cells[4], late.has(robot) ? String(late.get(robot)) : scene.hears_links ? "0" : "–");
+    const over = hops.get(robot);
     cells[5].hidden = noBattery;
     set(cells[5], battery.has(robot) ? `${battery.get(robot)} %` : "–");
     set(cells[6], guard.get(robot) || "–");
     cells[6].title = guard.get(robot) || "";
+    cells[7].hidden = noHops;
+    set(cells[7], lost.has(robot) ? "lost" : over ? `${over.at_least ? "≥ " : ""}${over.hops}` : "–");
+    cells[7].className = lost.has(robot) ? "bad" : "";
+    cells[7].title = over ? `${over.age_s.toFixed(1)} s ago` : "";
   }
 }
 
@@ -293,11 +325,32 @@ function showLinks() {
     if (age > 50) item.className = "bad";
     lines.push(item);
   }
+  if (status && status.mesh && !lines.length) return showHeard(place);
   const title = document.createElement("h2"), list = document.createElement("ul");
   title.textContent = !scene.hears_links ? `robot ${chosen}: ${unheard()}` :
     `links of robot ${chosen}: ${lines.length || "no robot in range"}`;
   list.append(...lines);
   place.replaceChildren(title, list);
+}
+
+// Whom the chosen robot hears directly, and who hears it.
+function showHeard(place) {
+  const lists = [["hears", at => [chosen, at]], ["is heard by", at => [at, chosen]]];
+  const pairs = heardPairs(), nodes = [];
+  for (const [verb, pair] of lists) {
+    const title = document.createElement("h2"), list = document.createElement("ul");
+    for (let other = 0; other < status.robots; other++) {
+      const loss = pairs.get(pair(other).join());
+      if (loss === undefined) continue;
+      const item = document.createElement("li");
+      item.textContent = `${other}: ${loss} % lost`;
+      if (loss > 30) item.className = "bad";
+      list.append(item);
+    }
+    title.textContent = `robot ${chosen} ${verb}${list.children.length ? "" : ": nobody"}`;
+    nodes.push(title, list);
+  }
+  place.replaceChildren(...nodes);
 }
 
 function showAges() {
@@ -393,6 +446,7 @@ function draw() {
   keepTrail(at);
   if ($("show-range").checked && scene.range_m) drawRange(at, n, pixel);
   if ($("show-links").checked) drawLinks(at, pixel);
+  if ($("show-hears").checked && status && status.mesh) drawHeard(at, pixel);
   if ($("show-trails").checked) drawTrails(n, pixel);
   if ($("show-goals").checked) drawGoals(at, hull, pixel);
   if ($("show-scans").checked) drawScans(pixel);
@@ -469,6 +523,34 @@ function drawLinks(at, pixel) {
     }
     pen.stroke();
   }
+  pen.setLineDash([]);
+  pen.globalAlpha = 1;
+}
+
+// Draws who hears whom directly, by the worse loss: a line where both do, a dashed one where one alone does.
+function drawHeard(at, pixel) {
+  const pairs = heardPairs(), kinds = ["fresh", "old", "late"].flatMap(name => [[name, true], [name, false]]);
+  const paths = kinds.map(() => []);
+  for (const [one, other, loss] of status.mesh.hears) {
+    if (chosen !== null && one !== chosen && other !== chosen) continue;
+    const back = pairs.get(`${other},${one}`), both = back !== undefined;
+    if (both && one > other) continue;
+    const worse = Math.max(loss, back ?? 0), kind = worse <= 5 ? 0 : worse <= 30 ? 1 : 2;
+    paths[2 * kind + (both ? 0 : 1)].push(one, other);
+  }
+  pen.globalAlpha = 0.6;
+  pen.lineWidth = (pairs.size > MANY ? 1 : 2) * pixel;
+  kinds.forEach(([name, both], kind) => {
+    pen.strokeStyle = colours[name];
+    pen.setLineDash(both ? [] : [4 * pixel, 4 * pixel]);
+    pen.beginPath();
+    for (let end = 0; end < paths[kind].length; end += 2) {
+      const [one, other] = [paths[kind][end], paths[kind][end + 1]];
+      pen.moveTo(at[2 * one], at[2 * one + 1]);
+      pen.lineTo(at[2 * other], at[2 * other + 1]);
+    }
+    pen.stroke();
+  });
   pen.setLineDash([]);
   pen.globalAlpha = 1;
 }
@@ -673,7 +755,7 @@ document.addEventListener("keydown", event => {
 });
 // Without this, releasing the space bar would press the button that has the focus.
 document.addEventListener("keyup", event => { if (event.code === "Space") event.preventDefault(); });
-for (const id of ["show-links", "show-trails", "show-goals", "show-range", "show-scans"]) $(id).onchange = () => { dirty = true; };
+for (const id of ["show-links", "show-trails", "show-goals", "show-range", "show-scans", "show-hears"]) $(id).onchange = () => { dirty = true; };
 $("colour").onchange = () => {
   const words = $("colour").value === "loss" ? ["≤ 5 %", "≤ 30 %", "more"] : ["≤ 0.1 s", "≤ 0.3 s", "older"];
   words.forEach((text, at) => set($(`legend-${at}`), text));

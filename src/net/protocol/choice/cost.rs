@@ -56,6 +56,14 @@ impl Measured {
         }
     }
 
+    /// Returns the other way that would reach the goal; `None` if the time of its frames is unknown.
+    pub(super) fn other(&self, way: Way) -> Option<Way> {
+        match way {
+            Way::Unicast => self.multicast_s.map(|_| Way::Multicast(self.needed())),
+            Way::Multicast(_) => self.unicast_s.map(|_| Way::Unicast),
+        }
+    }
+
     /// Returns the least number of transmissions by multicast that reaches the goal, in eighths.
     fn needed(&self) -> u8 {
         let most = if self.multicast_s.is_some() { MOST } else { MOST_UNKNOWN };

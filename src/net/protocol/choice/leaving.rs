@@ -231,6 +231,21 @@ impl Choice {
         if self.spread && message.is_state() { self.slot() * self.place.0 as u64 } else { Span::ZERO }
     }
 
+    /// Whether it has had states to decide for.
+    pub(super) fn has_decided(&self) -> bool {
+        self.decided.is_some()
+    }
+
+    /// Returns the place of this host among the hosts of the team that are heard, and their number.
+    pub(super) fn place(&self) -> (usize, usize) {
+        self.place
+    }
+
+    /// Returns how long states wait for their slot; `None` if they are not spread.
+    pub(super) fn wait(&self) -> Option<Span> {
+        self.spread.then(|| self.slot() * self.place.0 as u64)
+    }
+
     /// Returns the time in which each host has had its slot; zero if states are not spread.
     pub(super) fn round(&self) -> Span {
         if self.spread { self.slot() * self.place.1 as u64 } else { Span::ZERO }

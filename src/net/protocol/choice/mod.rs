@@ -1,12 +1,13 @@
 //! The way in which a link's states leave: by multicast with copies, or to each host by itself. Pure.
 //!
-//! [`Chooser`] decides by what `pairs` and the link reports measure; `leaving` has the state of a link, and `sending`
-//! acts on it.
+//! [`Chooser`] decides by what `pairs` and the link reports measure; `leaving` has the state of a link, `sending` acts
+//! on it, and `told` reports it.
 
 mod cost;
 mod leaving;
 mod pairs;
 mod sending;
+mod told;
 
 use std::fmt;
 

@@ -8,6 +8,7 @@
 
 mod echoes;
 mod entry;
+mod last_hops;
 mod lead;
 mod own;
 mod pool;
@@ -21,6 +22,7 @@ use std::collections::BTreeMap;
 use self::echoes::Echoes;
 pub(crate) use self::entry::{Block, Content};
 use self::entry::{Entry, EntryId};
+use self::last_hops::LastHops;
 use self::lead::{Digest, Layout, Lead};
 use self::own::Own;
 use self::pool::Pool;
@@ -30,6 +32,7 @@ use super::codec::{self, Frame};
 use super::counts::LinkCounts;
 use super::key::Key;
 use super::link::Identity;
+use super::ways::LastHop;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{Kind, Wire};
 use crate::random::Stream;
@@ -69,6 +72,7 @@ pub(crate) struct Relay {
     waits: Option<Time>,
     counts: LinkCounts,
     withholding: Withholding,
+    ways: LastHops,
 }
 
 impl Relay {
@@ -90,6 +94,7 @@ impl Relay {
             waits: None,
             counts: LinkCounts::default(),
             withholding: Withholding::default(),
+            ways: LastHops::default(),
         }
     }
 
@@ -173,6 +178,11 @@ impl Relay {
         self.withholding.hosts(now)
     }
 
+    /// Returns by whom the newest soft state of each other host has come, in the order of their ids.
+    pub fn last_hops(&self, now: Time) -> Vec<LastHop> {
+        self.ways.told(now)
+    }
+
     /// Whether the layout of an instruction is missing.
     fn lacks(&self) -> bool {
         self.named.iter().any(|(first, digest)| self.layouts.get(first).is_none_or(|known| known.digest != *digest))
@@ -246,6 +256,7 @@ impl Relay {
         if verdict == Verdict::Sound && !newer {
             return None;
         }
+        self.ways.note(now, (entry.origin, from), (entry.incarnation, entry.number));
         let is_passed_on = !self.me.host.is_operator();
         if is_passed_on {
             self.pool.put(now, (id, from), (entry.incarnation, entry.number), bytes, verdict == Verdict::Sound);
