@@ -117,7 +117,9 @@ impl Sending {
             false => format!("{:.1} Hz", self.states_hz),
         };
         let slot = self.slot.map_or(String::new(), |slot| format!(", slot {} of {}", slot.place + 1, slot.of));
-        format!("{way}, {rate}{slot}, load {:.0} %", 100.0 * self.load)
+        // It is 0 while the time of a frame is unknown.
+        let load = if self.load > 0.0 { format!(", load {:.0} %", 100.0 * self.load) } else { String::new() };
+        format!("{way}, {rate}{slot}{load}")
     }
 }
 
@@ -147,6 +149,7 @@ mod tests {
         assert_eq!(sending.in_words(), "2.9 transmissions by multicast, 10.0 of 20.0 Hz, slot 3 of 20, load 47 %");
         let unicast = Sending { way: "unicast".to_owned(), copies: 1.0, sent_hz: 20.0, slot: None, ..sending };
         assert_eq!(unicast.in_words(), "unicast to each host, 20.0 Hz, load 47 %");
+        assert_eq!(Sending { load: 0.0, ..unicast }.in_words(), "unicast to each host, 20.0 Hz", "that is unknown");
     }
 
     #[test]
