@@ -1,0 +1,440 @@
+//! Worker of the driver and of the source `mavlink`: an actor that has the link with one autopilot, by UDP or a serial
+//! line. It numbers and signs what is sent, checks what is received, and leaves out what nobody here reads.
+//!
+//! When a motion's validity ends without a newer packet, it makes the vehicle stand for a second. After that, what the
+//! autopilot does without setpoints is better than what a host does whose control thread hangs.
+
+use std::io;
+use std::net::{SocketAddr, SocketAddrV4};
+use std::os::fd::OwnedFd;
+use std::path::Path;
+use std::rc::Rc;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use actix::{Actor, ActorContext, AsyncContext, Context, Handler, Recipient, SpawnHandle, StreamHandler, Supervised};
+use futures_util::stream::{LocalBoxStream, StreamExt, unfold};
+use mavlink::dialects::common::MavMessage;
+use murmurate::config::{ConfigError, regular};
+use murmurate::edge::{Input, Port, Seat, Worker};
+use tokio::net::UdpSocket;
+use tokio::net::unix::pipe::Receiver;
+
+use super::address::Address;
+use super::frames::{Found, Framer, LARGEST, Splitter, Version, header, parse, raw};
+use super::link::{FromWorker, Hold, REFUSALS, Refusal, ToWorker};
+use super::orders::WANTED;
+use super::serial;
+use super::settings::{AUTOPILOT, LinkSettings};
+use super::signing::{Key, Signer, Unsound};
+
+/// Pause before a link that cannot be opened, or was lost, is opened again.
+const PAUSE: Duration = Duration::from_secs(1);
+/// Period of the frames that make a vehicle stand whose motion has expired, and their number.
+const STAND: (Duration, u32) = (Duration::from_millis(100), 10);
+/// Longest validity of a motion, equal to that of a motor command on a link.
+const LONGEST_HOLD: Duration = Duration::from_millis(1000);
+/// Period at which the same refusal is reported again.
+const REFUSED: Duration = Duration::from_millis(200);
+/// Silence of an autopilot after which another address may be its new one.
+const MOVED: Duration = Duration::from_secs(3);
+/// Period of what a source says to its autopilot: heartbeats, and so many of them to a request for messages.
+const REMINDERS: (Duration, u32) = (Duration::from_secs(1), 5);
+/// Largest datagram \[bytes\]; largest file of a key \[bytes\].
+const LARGEST_DATAGRAM: usize = 2048;
+const LARGEST_KEY: u64 = 4096;
+/// Beginning of the year 2015, from which signatures count \[s since 1970\] (MAVLink guide, "Message Signing").
+const YEAR_2015_S: u64 = 1_420_070_400;
+
+/// Worker of one link with an autopilot.
+pub struct Endpoint {
+    /// Settings of the link.
+    pub link: LinkSettings,
+    /// What is said to the autopilot by itself: a heartbeat, and requests. Empty for a driver, which says it.
+    pub reminders: Vec<MavMessage>,
+}
+
+impl Endpoint {
+    /// Returns the key of the link's signatures, from its file. The error names the setting.
+    fn key(&self) -> Result<Option<Key>, ConfigError> {
+        let Some(path) = &self.link.key_file else { return Ok(None) };
+        let wrong = |why: String| ConfigError::field("signing_key_file", format!("{path}: {why}"));
+        let text = regular::read(Path::new(path), LARGEST_KEY).map_err(|error| wrong(error.to_string()))?;
+        Key::read(&text).map(Some).map_err(wrong)
+    }
+}
+
+impl Worker for Endpoint {
+    fn check(&self) -> Result<(), ConfigError> {
+        self.key().map(drop)
+    }
+
+    fn claim(&self) -> Option<String> {
+        // Several hosts of a machine may send to one address.
+        (!matches!(self.link.address, Address::Out(_))).then(|| format!("address {}", self.link.address))
+    }
+
+    fn start(self: Box<Self>, seat: Seat) -> Recipient<Input> {
+        seat.start(move |port| Talker::new(*self, port))
+    }
+}
+
+/// Open link with an autopilot.
+#[derive(Clone)]
+enum Link {
+    Udp(Rc<UdpSocket>),
+    Serial { reader: Rc<Receiver>, writer: Rc<OwnedFd> },
+}
+
+/// Actor that has the link with one autopilot. Its life ends with an error of the link; then it is started again.
+struct Talker {
+    endpoint: Endpoint,
+    port: Port,
+    framer: Framer,
+    link: Option<Link>,
+    splitter: Splitter,
+    /// Address of the autopilot, and when it was heard from there last; `None` before, and on a serial line.
+    peer: Option<(SocketAddr, Option<Instant>)>,
+    /// Socket for copies of the autopilot's frames.
+    copies: Option<UdpSocket>,
+    /// Frame that makes the vehicle stand; empty before the driver has given it.
+    stand: Vec<u8>,
+    /// Timer of the end of a motion's validity.
+    timer: Option<SpawnHandle>,
+    /// Number of refused frames for each reason, and when the reason was reported last.
+    refused: [(u64, Option<Instant>); REFUSALS.len()],
+    pause: Duration,
+    /// Last reason for which the link was closed, which is logged once.
+    logged: String,
+}
+
+impl Actor for Talker {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        self.port.resume(std::mem::take(&mut self.pause), context, Talker::open);
+    }
+}
+
+impl Supervised for Talker {
+    fn restarting(&mut self, _: &mut Context<Self>) {
+        (self.link, self.copies, self.timer, self.splitter) = (None, None, None, Splitter::default());
+    }
+}
+
+impl Handler<Input> for Talker {
+    type Result = ();
+
+    fn handle(&mut self, input: Input, context: &mut Context<Self>) {
+        match input {
+            Input::Packet(packet) => self.carry_out(&packet, context),
+            Input::Close => {
+                if self.timer.is_some() {
+                    self.make_stand();
+                }
+                context.stop();
+            }
+        }
+    }
+}
+
+/// Bytes that a link has received, with their sender if they are a datagram.
+type Received = io::Result<(Option<SocketAddr>, Vec<u8>)>;
+
+impl StreamHandler<Received> for Talker {
+    fn handle(&mut self, received: Received, context: &mut Context<Self>) {
+        match received {
+            Ok((from, bytes)) => self.take(from, &bytes),
+            Err(error) => self.lose(&error, context),
+        }
+    }
+
+    /// A link has no end of its own.
+    fn finished(&mut self, _: &mut Context<Self>) {}
+}
+
+impl Talker {
+    fn new(endpoint: Endpoint, port: Port) -> Talker {
+        let (system, component) = endpoint.link.own;
+        let version = if endpoint.link.version == 1 { Version::One } else { Version::Two };
+        Talker {
+            framer: Framer::new(system, component, version),
+            endpoint,
+            port,
+            link: None,
+            splitter: Splitter::default(),
+            peer: None,
+            copies: None,
+            stand: Vec::new(),
+            timer: None,
+            refused: [(0, None); REFUSALS.len()],
+            pause: Duration::ZERO,
+            logged: String::new(),
+        }
+    }
+
+    /// Opens the link and begins to receive.
+    fn open(&mut self, context: &mut Context<Self>) {
+        // Stamps go on growing, also over a new life.
+        if self.framer.signer.is_none() {
+            match self.endpoint.key() {
+                Ok(key) => self.framer.signer = key.map(Signer::new),
+                Err(error) => return self.lose(&io::Error::other(error.to_string()), context),
+            }
+        }
+        let opened = match &self.endpoint.link.address {
+            Address::In(at) => bind(*at).map(Link::Udp),
+            Address::Out(to) => {
+                self.peer = Some((SocketAddr::V4(*to), None));
+                bind(SocketAddrV4::new([0, 0, 0, 0].into(), 0)).map(Link::Udp)
+            }
+            Address::Serial { device, baud } => serial::open(device, *baud).and_then(|line| {
+                let writer = Rc::new(line.try_clone()?);
+                // A terminal is read like a pipe; it only fails the check for one.
+                let reader = Rc::new(Receiver::from_owned_fd_unchecked(line)?);
+                Ok(Link::Serial { reader, writer })
+            }),
+        };
+        let link = match opened {
+            Ok(link) => link,
+            Err(error) => return self.lose(&error, context),
+        };
+        if self.endpoint.link.forward.is_some() {
+            match std::net::UdpSocket::bind("0.0.0.0:0").and_then(|socket| {
+                socket.set_nonblocking(true)?;
+                UdpSocket::from_std(socket)
+            }) {
+                Ok(socket) => self.copies = Some(socket),
+                Err(error) => return self.lose(&error, context),
+            }
+        }
+        context.add_stream(received(link.clone()));
+        self.link = Some(link);
+        self.logged.clear();
+        self.port.send(FromWorker::Opened.encode());
+        if !self.endpoint.reminders.is_empty() {
+            let mut beats = 0;
+            context.run_interval(REMINDERS.0, move |talker, _| {
+                let all = beats % REMINDERS.1 == 0;
+                beats += 1;
+                talker.remind(all);
+            });
+        }
+    }
+
+    /// Ends this life of the actor after an error of the link.
+    fn lose(&mut self, error: &io::Error, context: &mut Context<Self>) {
+        let address = &self.endpoint.link.address;
+        let advice = match address {
+            Address::In(_) => "does another program listen there? (`ss -ulnp` names it)",
+            Address::Out(_) => "is the network up?",
+            Address::Serial { .. } => "is the autopilot plugged in, and is this user in the group dialout?",
+        };
+        let why = format!("{address}: {error}; {advice}");
+        if self.logged != why {
+            tracing::error!("no link with the autopilot by {why}");
+            self.logged.clone_from(&why);
+        }
+        self.port.send(FromWorker::Closed(why.as_bytes()).encode());
+        self.pause = PAUSE;
+        context.stop();
+    }
+
+    fn carry_out(&mut self, packet: &[u8], context: &mut Context<Self>) {
+        match ToWorker::decode(packet) {
+            Some(ToWorker::Send(hold, frames)) => {
+                match hold {
+                    Hold::Keep => {}
+                    Hold::Standing => self.stand_after(None, context),
+                    Hold::For(span) => {
+                        let hold = Duration::from_nanos(span.as_nanos()).min(LONGEST_HOLD);
+                        self.stand_after(Some((hold, STAND.1)), context);
+                    }
+                }
+                self.write(frames);
+            }
+            Some(ToWorker::Stand(frame)) => self.stand = frame.to_vec(),
+            None => tracing::error!("the driver's packet is not understood"),
+        }
+    }
+
+    /// Sets the time after which the vehicle is made to stand without a newer packet, and how often; `None` for never.
+    fn stand_after(&mut self, hold: Option<(Duration, u32)>, context: &mut Context<Self>) {
+        if let Some(timer) = self.timer.take() {
+            context.cancel_future(timer);
+        }
+        self.timer = hold.map(|(hold, times)| {
+            context.run_later(hold, move |talker, context| {
+                if times == STAND.1 {
+                    tracing::error!("the control thread is silent: the vehicle is made to stand");
+                }
+                talker.make_stand();
+                let next = (times > 1).then_some((STAND.0, times - 1));
+                talker.stand_after(next, context);
+            })
+        });
+    }
+
+    fn make_stand(&mut self) {
+        let stand = std::mem::take(&mut self.stand);
+        self.write(&stand);
+        self.stand = stand;
+    }
+
+    fn remind(&mut self, all: bool) {
+        let count = if all { self.endpoint.reminders.len() } else { 1 };
+        let messages: Vec<MavMessage> = self.endpoint.reminders.iter().take(count).cloned().collect();
+        messages.iter().for_each(|message| self.say(message));
+    }
+
+    /// Sends frames of the driver under numbers of this link, signed if the link is.
+    fn write(&mut self, frames: &[u8]) {
+        let (mut splitter, mut messages) = (Splitter::default(), Vec::new());
+        splitter.take(frames, |found| {
+            if let Found::Frame(frame) = found {
+                messages.extend(parse(frame));
+            }
+        });
+        messages.iter().for_each(|received| self.say(&received.message));
+    }
+
+    /// Sends a message, if the autopilot's address is known. A link that takes no more loses it: the next one comes.
+    fn say(&mut self, message: &MavMessage) {
+        let frame = self.framer.frame(now(), message);
+        match (&self.link, self.peer) {
+            (Some(Link::Udp(socket)), Some((peer, _))) => drop(socket.try_send_to(&frame, peer)),
+            (Some(Link::Serial { writer, .. }), _) => drop(nix::unistd::write(writer, &frame)),
+            _ => {}
+        }
+    }
+
+    /// Takes bytes that the link has received: a datagram of a sender, or a piece of a serial line's.
+    fn take(&mut self, from: Option<SocketAddr>, bytes: &[u8]) {
+        let mut splitter = std::mem::take(&mut self.splitter);
+        let (mut kept, mut copied) = (Vec::new(), Vec::new());
+        let mut damaged = false;
+        splitter.take(bytes, |found| match found {
+            Found::Frame(frame) => match self.judge(from, frame) {
+                Some(wanted) => {
+                    copied.extend_from_slice(frame);
+                    if wanted {
+                        kept.extend_from_slice(frame);
+                    }
+                }
+                None => {}
+            },
+            Found::Unknown => {}
+            Found::Damaged => damaged = true,
+        });
+        damaged |= from.is_some() && splitter.end();
+        self.splitter = splitter;
+        if damaged {
+            self.refuse(Refusal::Damaged);
+        }
+        if !kept.is_empty() {
+            self.port.send(FromWorker::Frames(&kept).encode());
+        }
+        if let (Some(to), Some(socket)) = (self.endpoint.link.forward, &self.copies)
+            && !copied.is_empty()
+        {
+            // A program that does not listen misses it.
+            let _ = socket.try_send_to(&copied, to.into());
+        }
+    }
+
+    /// Judges a frame: `None` if it is not of the autopilot or is refused, and else whether it is one that is read.
+    fn judge(&mut self, from: Option<SocketAddr>, frame: &[u8]) -> Option<bool> {
+        let header = header(frame)?;
+        if (header.system, header.component) != (self.endpoint.link.system, AUTOPILOT) {
+            return None;
+        }
+        let judged = match &mut self.framer.signer {
+            None if header.signed => Err(Refusal::Signed),
+            None => Ok(()),
+            Some(_) if header.version == Version::One => Err(Refusal::Unsigned),
+            Some(signer) => signer.check(now(), &raw(frame)).map_err(|unsound| match unsound {
+                Unsound::Unsigned => Refusal::Unsigned,
+                Unsound::Forged => Refusal::Forged,
+                Unsound::Stale => Refusal::Stale,
+            }),
+        };
+        // An autopilot without a clock learns the time from signed frames of this host, so it has to get some.
+        if let (Err(Refusal::Stale), None, Some(from)) = (judged, self.peer, from) {
+            self.peer = Some((from, None));
+        }
+        let judged = judged.and_then(|()| self.comes_from(from));
+        if let Err(refusal) = judged {
+            self.refuse(refusal);
+            return None;
+        }
+        Some(WANTED.contains(&header.id))
+    }
+
+    /// Takes over that a sound frame came from an address, unless the autopilot was heard from another one just now.
+    fn comes_from(&mut self, from: Option<SocketAddr>) -> Result<(), Refusal> {
+        let Some(from) = from else { return Ok(()) };
+        let now = Instant::now();
+        match self.peer {
+            Some((peer, Some(at))) if peer != from && now.duration_since(at) < MOVED => Err(Refusal::Second),
+            // Where this host sends to is fixed: another sender is none.
+            Some((peer, _)) if peer != from && matches!(self.endpoint.link.address, Address::Out(_)) => {
+                Err(Refusal::Second)
+            }
+            _ => {
+                self.peer = Some((from, Some(now)));
+                Ok(())
+            }
+        }
+    }
+
+    /// Counts a refused frame, logs it if its number is 1, 2, 4, 8 and so on, and reports it at most every 0.2 s.
+    fn refuse(&mut self, refusal: Refusal) {
+        let at = REFUSALS.iter().position(|one| *one == refusal).expect("all are in the table");
+        let (count, reported) = &mut self.refused[at];
+        *count += 1;
+        if count.is_power_of_two() {
+            tracing::warn!(refused = *count, "{}: {}", self.endpoint.link.address, refusal.why());
+        }
+        if reported.is_none_or(|at| at.elapsed() >= REFUSED) {
+            *reported = Some(Instant::now());
+            self.port.send(FromWorker::Refused(refusal).encode());
+        }
+    }
+}
+
+/// Returns the time for signatures: units of 10 us since the beginning of 2015.
+fn now() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since.saturating_sub(Duration::from_secs(YEAR_2015_S)).as_micros() / 10).unwrap_or_default()
+}
+
+fn bind(at: SocketAddrV4) -> io::Result<Rc<UdpSocket>> {
+    let socket = std::net::UdpSocket::bind(at)?;
+    socket.set_nonblocking(true)?;
+    UdpSocket::from_std(socket).map(Rc::new)
+}
+
+/// Returns what a link receives.
+fn received(link: Link) -> LocalBoxStream<'static, Received> {
+    match link {
+        Link::Udp(socket) => unfold((socket, vec![0; LARGEST_DATAGRAM]), |(socket, mut buffer)| async move {
+            let read = socket.recv_from(&mut buffer).await;
+            let read = read.map(|(length, from)| (Some(from), buffer[..length].to_vec()));
+            Some((read, (socket, buffer)))
+        })
+        .boxed_local(),
+        Link::Serial { reader, .. } => unfold((reader, vec![0; LARGEST]), |(line, mut buffer)| async move {
+            let read = loop {
+                if let Err(error) = line.readable().await {
+                    break Err(error);
+                }
+                match line.try_read(&mut buffer) {
+                    Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+                    Ok(0) => break Err(io::Error::other("the line has ended")),
+                    read => break read.map(|length| (None, buffer[..length].to_vec())),
+                }
+            };
+            Some((read, (line, buffer)))
+        })
+        .boxed_local(),
+    }
+}
