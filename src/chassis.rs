@@ -10,6 +10,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::config::ConfigError;
+use crate::flight::{self, InAir};
 use crate::messages::geometry::{Motion, Planar, Pose, Vec2, limit_below, toward_zero, wrapped};
 use crate::messages::local::{BodyTwist, Sample};
 use crate::messages::wire::Reading;
@@ -78,6 +79,13 @@ pub struct Settings {
     /// Temperature of the hardware \[°C\] at which the robot has to stand still; `None` if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub temperature_most_c: Option<f32>,
+    /// Height above the ground at which the robot flies \[m\], the same for all episodes; `None` for a robot that stays
+    /// on the ground.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub height_m: Option<f32>,
+    /// What a robot that flies does after an emergency stop, once it has hovered for a second; `None` if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stop_in_air: Option<InAir>,
 }
 
 /// Kind of a robot's chassis and the limits of its motion, used to turn a commanded velocity into a motion of the
@@ -139,6 +147,26 @@ impl Settings {
             heading_age_s: self.heading_age_s.or(all.heading_age_s),
             battery_least: self.battery_least.or(all.battery_least),
             temperature_most_c: self.temperature_most_c.or(all.temperature_most_c),
+            height_m: self.height_m.or(all.height_m),
+            stop_in_air: self.stop_in_air.or(all.stop_in_air),
+        }
+    }
+
+    /// Returns the settings of the robot's flight; `None` for a robot that stays on the ground. An error names the
+    /// setting that is wrong.
+    pub fn flight(&self) -> Result<Option<flight::Settings>, ConfigError> {
+        match (self.height_m, self.stop_in_air) {
+            (Some(height_m), stop) if height_m > 0.0 && height_m <= flight::MOST_M => {
+                Ok(Some(flight::Settings { height_m, stop: stop.unwrap_or_default() }))
+            }
+            (Some(height_m), _) => {
+                let why = format!("{height_m} is no height above 0 and up to {} m", flight::MOST_M);
+                Err(ConfigError::field("height_m", why))
+            }
+            (None, Some(_)) => {
+                Err(ConfigError::field("stop_in_air", "it is for robots that fly: say height_m".to_owned()))
+            }
+            (None, None) => Ok(None),
         }
     }
 

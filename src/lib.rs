@@ -28,6 +28,7 @@ pub mod edge;
 pub mod estimation;
 pub mod faults;
 pub mod fitness;
+pub mod flight;
 pub mod graph;
 pub mod hearing;
 pub mod live;

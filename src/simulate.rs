@@ -76,7 +76,8 @@ impl Trial {
                 }
                 let proceed = proceed(graph, now, &report.episodes);
                 held_since = (proceed == Proceed::Hold).then_some(now);
-                report.finished || closed || now >= deadline || proceed == Proceed::Stop
+                // Robots in the air land before the run is over.
+                report.finished && !graph.is_airborne() || closed || now >= deadline || proceed == Proceed::Stop
             },
         );
         assert_eq!(end, End::Done, "a team with heartbeats never falls idle");

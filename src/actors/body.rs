@@ -3,18 +3,23 @@
 //!
 //! A Body stops its motors when the last command expires, even if other actors have crashed. It follows the emergency
 //! stop itself, so that a command delivered after a stop does not move the robot. It stops while the battery or the
-//! temperature is beyond its limit. All motor commands pass through it.
+//! temperature is beyond its limit. All motor commands pass through it. The Body of a robot that flies has a pilot
+//! (`flight.rs`), which decides when the robot rises and lands.
+
+mod flight;
 
 use crate::actor::Core;
 use crate::chassis::Chassis;
-use crate::drivers::{self, Command, Driver};
+use crate::drivers::{self, Command, Driver, Vertical};
+use crate::flight as flights;
 use crate::messages::geometry::{Planar, Vec2};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::{Latch, LatchFollower};
 use crate::messages::local::Drive;
-use crate::messages::wire::{Hardware, Health, MotorCommand, Reading, Stop};
+use crate::messages::wire::{Aloft, Flight, Hardware, Health, MotorCommand, Phase, Reading, Stop};
 use crate::safety::hardware::{HardwareLimits, HardwareWatch, Permit};
 use crate::time::{Span, Time};
+use flight::Pilot;
 
 /// Shortest interval between two messages in which a Body reports its engaged or held emergency stop latch to a state
 /// server that does not know of it.
@@ -23,6 +28,9 @@ const CORRECTION_PERIOD: Span = Span::from_millis(200);
 /// Shortest interval at which a Body converts its command again with a newly measured heading and sends it to the
 /// driver. Without it, a tracker of 100 Hz or more would flood the robot.
 const FOLLOW_PERIOD: Span = Span::from_millis(20);
+
+/// Period at which the state of a flight is repeated, as often as a heartbeat.
+const ALOFT_PERIOD: Span = Span::from_millis(200);
 
 /// Input message of a Body, the actor that drives the motors of one robot.
 #[derive(Clone, Debug)]
@@ -37,8 +45,8 @@ pub enum In {
     WorkerEnded,
     /// Emergency stop message: engage, re-arm or resume.
     Stop(Stop),
-    /// Emergency stop state (latch) in an instruction of the state server.
-    Latch(Latch),
+    /// Emergency stop state (latch) and phase of the team in an instruction of the state server.
+    Instruction(Latch, Phase),
     /// The Body's host is shutting down; the Body stops the robot for good.
     Leave,
 }
@@ -58,11 +66,22 @@ pub enum Out {
     /// Permission to move, which depends on battery and temperature; sent on a change to the robot's Controller if that
     /// runs on the same host.
     Permit(Permit),
+    /// State of the flight of a robot that flies: at each change, and repeated.
+    Aloft(Aloft),
     /// State of the emergency stop latch that this Body obeys now, for the Status of its host.
     Follows(Latch),
     /// Stop message with the Body's emergency stop state, for the whole team; sent if the state server's state is
     /// older.
     Stop(Stop),
+}
+
+/// Returns an order of the pilot as text for the log.
+fn words(order: Vertical) -> String {
+    match order {
+        Vertical::Rise { height_m } => format!("rises to {height_m} m"),
+        Vertical::Land => "lands".to_owned(),
+        Vertical::Cut => "its motors are switched off".to_owned(),
+    }
 }
 
 /// Body: the actor that passes velocity commands to the driver of one robot, and stops the robot when they expire or
@@ -91,6 +110,10 @@ pub struct Body {
     corrected: Option<Time>,
     /// Whether the host is shutting down.
     leaves: bool,
+    /// Pilot of a robot that flies; `None` for one that stays on the ground.
+    pilot: Option<Pilot>,
+    /// State of the flight that was said last, and the time at which it is repeated.
+    aloft: Option<(Flight, Time)>,
 }
 
 impl Body {
@@ -111,6 +134,8 @@ impl Body {
             latch: LatchFollower::default(),
             corrected: None,
             leaves: false,
+            pilot: None,
+            aloft: None,
         }
     }
 
@@ -119,16 +144,22 @@ impl Body {
         Body { hardware: HardwareWatch::new(limits), ..self }
     }
 
+    /// Returns the Body of a robot that flies as `settings` say; `None` for a robot that stays on the ground.
+    pub(crate) fn flying(self, settings: Option<flights::Settings>) -> Body {
+        Body { pilot: settings.map(Pilot::new), ..self }
+    }
+
     /// Returns the Body for a team whose orders are `signed` where they end a stop or a hold.
     pub(crate) fn with_signed_orders(self, signed: bool) -> Body {
         Body { latch: LatchFollower::new(signed), ..self }
     }
 
     /// Whether the motors may turn: the state server was heard, no stop is engaged or held, the host is not shutting
-    /// down, and the hardware permits motion.
+    /// down, the hardware permits motion, and a robot that flies is at its height.
     fn may_move(&self) -> bool {
         let permit = self.hardware.permit() == Permit::Granted;
-        self.latch.is_informed() && self.latch.latch().is_clear() && !self.leaves && permit
+        let at_height = self.pilot.as_ref().is_none_or(Pilot::is_at_height);
+        self.latch.is_informed() && self.latch.latch().is_clear() && !self.leaves && permit && at_height
     }
 
     /// Handles the hardware condition that the driver reports, and stops the robot if it is beyond a limit.
@@ -192,6 +223,8 @@ impl Body {
 
     /// Stores a measured heading. If the robot moves, repeats its command with the new heading.
     fn measured(&mut self, now: Time, reading: &Reading, out: &mut Vec<Out>) {
+        self.driver.measured(now, reading, &mut self.outputs);
+        self.forward(now, out);
         if let Some(heading) = reading.pose.heading {
             self.heading = Some((now, heading));
             match self.driven {
@@ -215,6 +248,7 @@ impl Body {
                 drivers::Out::Send(packet) => out.push(Out::Send(packet)),
                 drivers::Out::Odometry(reading) => out.push(Out::Odometry(reading)),
                 drivers::Out::Condition(hardware) => self.condition(now, hardware, out),
+                drivers::Out::Flight(flight) => self.pilot.iter_mut().for_each(|pilot| pilot.take(flight)),
                 drivers::Out::Refused(why) => {
                     self.refused += 1;
                     // Log only the counts 1, 2, 4, 8, ...: a faulty robot may send nothing else.
@@ -224,6 +258,30 @@ impl Body {
                     }
                 }
             }
+        }
+    }
+
+    /// Gives the order of the pilot that is due to the driver, and says the state of the flight where that is due.
+    fn steer(&mut self, now: Time, out: &mut Vec<Out>) {
+        let Some(pilot) = &mut self.pilot else { return };
+        pilot.latched(now, self.latch.latch());
+        let fit = self.hardware.permit() == Permit::Granted;
+        let before = pilot.is_at_height();
+        let order = pilot.order(now, fit, self.leaves);
+        let lands = before && !pilot.is_at_height();
+        if let Some(order) = order {
+            tracing::info!("{}: {}", self.robot, words(order));
+            self.driver.fly(now, order, &mut self.outputs);
+        }
+        if lands {
+            self.halt(now, out);
+        }
+        self.forward(now, out);
+        let flight = self.pilot.as_ref().and_then(Pilot::flight);
+        let due = |(said, again): &(Flight, Time)| Some(*said) != flight || *again <= now;
+        if let Some(flight) = flight.filter(|_| self.aloft.as_ref().is_none_or(due)) {
+            self.aloft = Some((flight, now + ALOFT_PERIOD));
+            out.push(Out::Aloft(Aloft { robot: self.robot, flight }));
         }
     }
 
@@ -268,7 +326,8 @@ impl Core for Body {
                 self.latched(now, changed, out);
                 out.push(Out::Follows(self.latch.latch()));
             }
-            In::Latch(heard) => {
+            In::Instruction(heard, phase) => {
+                self.pilot.iter_mut().for_each(|pilot| pilot.instructed(now, phase));
                 let changed = self.latch.update(heard);
                 self.latched(now, changed, out);
                 self.correct(now, heard, out);
@@ -281,10 +340,12 @@ impl Core for Body {
                 self.halt(now, out);
             }
         }
+        self.steer(now, out);
     }
 
     fn wake_at(&self) -> Option<Time> {
-        [self.expires, self.heading_lapses(), self.driver.wake_at()].into_iter().flatten().min()
+        let (pilot, said) = (self.pilot.as_ref().and_then(Pilot::wake_at), self.aloft.map(|(_, again)| again));
+        [self.expires, self.heading_lapses(), self.driver.wake_at(), pilot, said].into_iter().flatten().min()
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
@@ -302,6 +363,7 @@ impl Core for Body {
             self.driver.wake(now, &mut self.outputs);
             self.forward(now, out);
         }
+        self.steer(now, out);
     }
 }
 
@@ -311,8 +373,8 @@ mod tests {
     use crate::drivers::simulated::Simulated;
 
     fn body() -> Body {
-        let mut body = Body::new((HostId(3), RobotId(0)), Box::new(Simulated), Chassis::default());
-        body.handle(Time::ZERO, In::Latch(Latch::default()), &mut Vec::new());
+        let mut body = Body::new((HostId(3), RobotId(0)), Box::new(Simulated::default()), Chassis::default());
+        body.handle(Time::ZERO, In::Instruction(Latch::default(), Phase::Running), &mut Vec::new());
         body
     }
 
@@ -344,14 +406,14 @@ mod tests {
         assert_eq!(driven(&mut body, 45_000), 0.0);
         handle(&mut body, 45_010, In::Stop(Stop::rearm(HostId::operator(9), Latch::engaged(1))));
         assert_eq!(driven(&mut body, 45_020), 0.0, "held");
-        handle(&mut body, 45_030, In::Latch(Latch::clear(3)));
+        handle(&mut body, 45_030, In::Instruction(Latch::clear(3), Phase::Running));
         assert_eq!(driven(&mut body, 45_040), 1.0);
     }
 
     #[test]
     fn a_robot_whose_driver_has_ended_stands_until_it_reports_ready() {
         let mut body = Body::new((HostId(3), RobotId(0)), Box::new(Charged), Chassis::default());
-        handle(&mut body, 0, In::Latch(Latch::default()));
+        handle(&mut body, 0, In::Instruction(Latch::default(), Phase::Running));
         let speed = |out: &[Out]| match out {
             [.., Out::Drive(drive)] => drive.velocity.x,
             _ => panic!("{out:?}"),
@@ -370,9 +432,9 @@ mod tests {
 
     #[test]
     fn a_fresh_body_moves_nothing_before_the_state_server_is_heard() {
-        let mut body = Body::new((HostId(3), RobotId(0)), Box::new(Simulated), Chassis::default());
+        let mut body = Body::new((HostId(3), RobotId(0)), Box::new(Simulated::default()), Chassis::default());
         assert_eq!(driven(&mut body, 0), 0.0);
-        handle(&mut body, 10, In::Latch(Latch::default()));
+        handle(&mut body, 10, In::Instruction(Latch::default(), Phase::Running));
         assert_eq!(driven(&mut body, 20), 1.0);
         handle(&mut body, 30, In::Leave);
         assert_eq!(driven(&mut body, 40), 0.0, "its host is about to end");
@@ -381,12 +443,15 @@ mod tests {
     #[test]
     fn a_state_server_that_has_forgotten_a_hold_is_told() {
         let mut body = body();
-        handle(&mut body, 0, In::Latch(Latch::held(2)));
+        handle(&mut body, 0, In::Instruction(Latch::held(2), Phase::Running));
         let told = |out: &[Out]| out.iter().any(|said| matches!(said, Out::Stop(s) if s.latch == Latch::held(2)));
-        assert!(told(&handle(&mut body, 100, In::Latch(Latch::default()))));
-        assert!(!told(&handle(&mut body, 200, In::Latch(Latch::default()))), "not with every instruction");
-        assert!(told(&handle(&mut body, 300, In::Latch(Latch::default()))));
-        assert!(!told(&handle(&mut body, 600, In::Latch(Latch::held(2)))), "it knows");
+        assert!(told(&handle(&mut body, 100, In::Instruction(Latch::default(), Phase::Running))));
+        assert!(
+            !told(&handle(&mut body, 200, In::Instruction(Latch::default(), Phase::Running))),
+            "not with every instruction"
+        );
+        assert!(told(&handle(&mut body, 300, In::Instruction(Latch::default(), Phase::Running))));
+        assert!(!told(&handle(&mut body, 600, In::Instruction(Latch::held(2), Phase::Running))), "it knows");
     }
 
     /// Speed ahead of the last command to the driver; none while the robot has no heading.
@@ -410,7 +475,7 @@ mod tests {
         let driver = Log::default();
         let driven = std::rc::Rc::clone(&driver.0);
         let mut body = Body::new((HostId(3), RobotId(0)), Box::new(driver), Chassis::default());
-        handle(&mut body, 0, In::Latch(Latch::default()));
+        handle(&mut body, 0, In::Instruction(Latch::default(), Phase::Running));
         let towards = |heading| {
             let mut reading = Reading::of_point(RobotId(0), 1, crate::messages::geometry::Motion::default());
             reading.pose.heading = Some(heading);
@@ -456,7 +521,7 @@ mod tests {
     fn a_flat_battery_stops_the_robot_and_refuses_to_start_it() {
         let limits = HardwareLimits { battery_least: Some(20), ..HardwareLimits::default() };
         let mut body = Body::new((HostId(3), RobotId(0)), Box::new(Charged), Chassis::default()).limited(limits);
-        handle(&mut body, 0, In::Latch(Latch::default()));
+        handle(&mut body, 0, In::Instruction(Latch::default(), Phase::Running));
         assert_eq!(driven(&mut body, 0), 0.0, "the charge is not known yet");
         let charge = |body: &mut Body, ms, percent: u8| handle(body, ms, In::Packet([percent].into()));
         let known = charge(&mut body, 10, 60);

@@ -10,7 +10,7 @@ use crate::messages::latch::Latch;
 use crate::messages::local::{Action, Progress};
 use crate::messages::place::Whereabouts;
 use crate::messages::round::RoundFollower;
-use crate::messages::wire::{Heartbeat, Marks, Mode, MotorCommand, Phase, Stop};
+use crate::messages::wire::{Flight, Heartbeat, Marks, Mode, MotorCommand, Phase, Stop};
 use crate::safety::filter;
 use crate::safety::guard::{Decision, Granted, Guard, SafetyCounts};
 use crate::safety::hardware::Permit;
@@ -34,6 +34,8 @@ pub enum In {
     Stop(Stop),
     /// Permission to move from the robot's Body on the same host; it depends on battery and temperature.
     Permit(Permit),
+    /// State of the flight of a robot that flies, from its Body.
+    Aloft(Flight),
     /// Whether the robot's pose is known to the host that measures it.
     Located(Whereabouts),
     /// The messages of another robot have begun to contradict the tracker.
@@ -72,6 +74,8 @@ pub struct Config {
     pub marks: Marks,
     /// To whom the goals of the scenario belong: arrival at one's own is for the rest of an episode.
     pub goals: Goals,
+    /// Whether the robot flies: then it is driven only while its Body says that it is at its height.
+    pub flies: bool,
 }
 
 /// Controller of one robot: an actor that passes the policy's actions through the robot's guard to its motors, and
@@ -99,7 +103,7 @@ impl Controller {
     pub fn new(config: Config) -> Controller {
         let next_heartbeat = Time::ZERO + config.phase;
         Controller {
-            guard: Guard::new(config.guard.clone()).with_signed_orders(config.signed),
+            guard: Guard::new(config.guard.clone()).with_signed_orders(config.signed).of_a_flight(config.flies),
             layouts: Layouts::default(),
             round: RoundFollower::default(),
             team: Phase::NeedReset,
@@ -225,6 +229,13 @@ impl Core for Controller {
                     self.give_up(out);
                 }
             }
+            In::Aloft(flight) => {
+                let off_height = flight != Flight::Flying;
+                self.guard.set_off_height(off_height);
+                if off_height {
+                    self.give_up(out);
+                }
+            }
             In::Located(whereabouts) => {
                 if self.guard.located(whereabouts) {
                     self.next_heartbeat = now;
@@ -303,6 +314,7 @@ mod tests {
             signed: false,
             marks: Marks::default(),
             goals: Goals::Labelled,
+            flies: false,
         })
     }
 
@@ -517,6 +529,7 @@ mod tests {
             signed: false,
             marks: Marks::default(),
             goals: Goals::Labelled,
+            flies: false,
         });
         let task = Task { start: Vec2::zeros(), goal: Vec2::x() };
         let (phase, tasks, latch) = (Phase::Running, [task].into(), Latch::default());

@@ -5,6 +5,7 @@ use std::rc::Rc;
 use super::{Deployment, Host};
 use crate::chassis::{Chassis, Settings};
 use crate::config::ConfigError;
+use crate::flight;
 use crate::messages::ids::RobotId;
 use crate::safety::hardware::HardwareLimits;
 use crate::world::{self, Placement};
@@ -46,6 +47,22 @@ impl Deployment {
         HardwareLimits::of(&self.body_settings(robot)).expect("a checked deployment has sound limits")
     }
 
+    /// Returns the settings of a robot's flight; `None` for a robot on the ground. Panics if its settings are
+    /// invalid, which `Deployment::check` excludes.
+    pub fn flight(&self, robot: RobotId) -> Option<flight::Settings> {
+        self.body_settings(robot).flight().expect("a checked deployment has sound flights")
+    }
+
+    /// Checks that a robot has a height exactly if its driver, of this name, `flies`. An error names the field.
+    pub(super) fn check_flight(&self, robot: RobotId, (flies, driver): (bool, &str)) -> Result<(), ConfigError> {
+        let why = match (flies, self.body_settings(robot).height_m.is_some()) {
+            (true, false) => format!("missing: {robot} flies by its driver '{driver}'; say at which height"),
+            (false, true) => format!("{robot} has one, and its driver '{driver}' does not fly; leave it out"),
+            _ => return Ok(()),
+        };
+        Err(ConfigError::field("body.height_m", why))
+    }
+
     fn body_settings(&self, robot: RobotId) -> Settings {
         let own = self.bodies.get(&robot.0.to_string());
         let of_role = self.role_of(robot).map_or_else(|| self.body.clone(), |(_, role)| role.body.or(&self.body));
@@ -76,7 +93,9 @@ impl Deployment {
             let why = format!("there is no robot {number}; the team has 0 to {}", self.robots - 1);
             return Err(ConfigError::field("bodies", why));
         }
-        let check = |settings: &Settings| settings.chassis().and_then(|_| HardwareLimits::of(settings)).map(drop);
+        let check = |settings: &Settings| {
+            settings.chassis().and_then(|_| HardwareLimits::of(settings)).and_then(|_| settings.flight()).map(drop)
+        };
         for (number, robot) in self.bodies.keys().filter_map(|number| Some((number, number.parse().ok()?))) {
             check(&self.body_settings(RobotId(robot))).map_err(|error| error.within(&format!("bodies.{number}")))?;
         }

@@ -10,7 +10,7 @@ use crate::config::ConfigError;
 use crate::edge::{Packet, Settings, Worker};
 use crate::messages::ids::RobotId;
 use crate::messages::local::{BodyTwist, Drive};
-use crate::messages::wire::{Hardware, Reading};
+use crate::messages::wire::{Flight, Hardware, Reading};
 use crate::time::Time;
 
 /// Output of a driver: a command or packet that moves its robot, or something that it has learned of the robot.
@@ -25,6 +25,8 @@ pub enum Out {
     Odometry(Reading),
     /// Condition of the robot: health, and charge, temperature and the reason of a fault where they are known.
     Condition(Hardware),
+    /// State of the robot's flight, at each change and after an order that changes nothing; only of a robot that flies.
+    Flight(Flight),
     /// Packet of the worker that was not understood, with the reason.
     Refused(&'static str),
 }
@@ -47,6 +49,20 @@ pub struct Command {
     pub body: Option<BodyTwist>,
 }
 
+/// Order of a Body about the height of a robot that flies.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Vertical {
+    /// Rise from the ground to this height above it \[m\], and stay there while velocities of the plane are driven.
+    Rise {
+        /// Height above the ground at which the robot flies \[m\], above zero.
+        height_m: f32,
+    },
+    /// Land where the robot is, and switch its motors off.
+    Land,
+    /// Switch the motors off at once, wherever the robot is. Only an operator's own, confirmed order leads to it.
+    Cut,
+}
+
 /// Part of one robot's driver that does no I/O: turns velocities into packets for the driver's worker, and the worker's
 /// packets into the robot's condition.
 pub trait Driver {
@@ -59,6 +75,19 @@ pub trait Driver {
 
     /// Handles a packet that the driver's worker has sent, and appends the driver's output to `out`.
     fn receive(&mut self, now: Time, packet: &[u8], out: &mut Vec<Out>);
+
+    /// Returns whether the robot flies: whether `fly` has an effect, and the driver reports the state of the flight.
+    fn flies(&self) -> bool {
+        false
+    }
+
+    /// Carries out an order about the height of a robot that flies. The Body repeats an order that the reported state
+    /// of the flight does not follow, so a second one must be harmless. Between the orders, a robot at its height holds
+    /// its place while it is driven at zero velocity, or is not driven.
+    fn fly(&mut self, _now: Time, _order: Vertical, _out: &mut Vec<Out>) {}
+
+    /// Takes a reading of the robot by the team's source, world frame, for a robot that has to be told where it is.
+    fn measured(&mut self, _now: Time, _reading: &Reading, _out: &mut Vec<Out>) {}
 
     /// Returns the time at which `wake` has to be called next; `None` if the driver needs no wake-up.
     fn wake_at(&self) -> Option<Time> {

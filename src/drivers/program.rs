@@ -6,16 +6,20 @@
 //! after it, and at the end of its input, the robot must stand. The program may write
 //! `{"health": "faulty", "battery": 87, "temperature_c": 41.5, "reason": "bumper pressed"}` at any time; `health` is
 //! `ready`, `faulty` or `silent`, and the others may be left out.
+//!
+//! The program of a robot that flies (`flies = true`) also reads `{"robot": 0, "fly": "rise", "height_m": 0.5}`, and
+//! the same with `"land"` and `"cut"` (switch the motors off now), whose height is null. It writes the state of the
+//! flight with its health: `"flight": "grounded"`, `"rising"`, `"flying"` or `"landing"`.
 
 use serde::{Deserialize, Serialize};
 
-use super::{Command, Driver, Limits, Out, Parts};
+use super::{Command, Driver, Limits, Out, Parts, Vertical};
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::edge::child::Program;
 use crate::messages::geometry::{Planar, Vec2, limit_below};
 use crate::messages::ids::RobotId;
-use crate::messages::wire::{Celsius, Hardware, Health, Reason};
+use crate::messages::wire::{Celsius, Flight, Hardware, Health, Reason};
 use crate::time::Time;
 
 /// Description of the driver in one line, for lists of all drivers.
@@ -30,6 +34,9 @@ struct Config {
     /// Largest speed of the robot \[m/s\].
     #[serde(default = "unlimited")]
     speed_m_s: f32,
+    /// Whether the robot flies, and so gets orders about its height.
+    #[serde(default)]
+    flies: bool,
 }
 
 fn unlimited() -> f32 {
@@ -48,6 +55,14 @@ struct Line {
     for_s: f64,
 }
 
+/// Line of JSON that the user's program reads: an order about the height of a robot that flies.
+#[derive(Debug, Serialize)]
+struct Order {
+    robot: u16,
+    fly: &'static str,
+    height_m: Option<f32>,
+}
+
 /// Line of JSON that the user's program writes: the condition of its robot's hardware.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -56,6 +71,7 @@ struct Word {
     battery: Option<i64>,
     temperature_c: Option<f32>,
     reason: Option<String>,
+    flight: Option<State>,
 }
 
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -66,9 +82,27 @@ enum Condition {
     Silent,
 }
 
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum State {
+    Grounded,
+    Rising,
+    Flying,
+    Landing,
+}
+
 struct Lines {
     robot: RobotId,
     limits: Limits,
+    flies: bool,
+}
+
+impl Lines {
+    fn send(&self, line: &impl Serialize, out: &mut Vec<Out>) {
+        let mut bytes = serde_json::to_vec(line).expect("plain numbers are JSON");
+        bytes.push(b'\n');
+        out.push(Out::Send(bytes.into()));
+    }
 }
 
 /// Makes the driver that controls `robot` through a user's program, and its worker; an error names the wrong setting.
@@ -80,9 +114,9 @@ pub fn make(settings: &Settings, robot: RobotId) -> Result<Parts, ConfigError> {
     if config.speed_m_s.is_nan() || config.speed_m_s <= 0.0 {
         return Err(ConfigError::field("speed_m_s", format!("{} is not a speed above zero", config.speed_m_s)));
     }
-    let limits = Limits { speed_m_s: limit_below(config.speed_m_s) };
+    let (limits, flies) = (Limits { speed_m_s: limit_below(config.speed_m_s) }, config.flies);
     Ok(Parts {
-        driver: Box::new(move || Box::new(Lines { robot, limits })),
+        driver: Box::new(move || Box::new(Lines { robot, limits, flies })),
         worker: Some(Box::new(Program::new(config.command))),
     })
 }
@@ -105,15 +139,26 @@ impl Driver for Lines {
             yaw_rate: body.map(|body| body.yaw_rate),
             for_s: drive.until.since(now).as_secs(),
         };
-        let mut bytes = serde_json::to_vec(&line).expect("plain numbers are JSON");
-        bytes.push(b'\n');
-        out.push(Out::Send(bytes.into()));
+        self.send(&line, out);
+    }
+
+    fn flies(&self) -> bool {
+        self.flies
+    }
+
+    fn fly(&mut self, _: Time, order: Vertical, out: &mut Vec<Out>) {
+        let (fly, height_m) = match order {
+            Vertical::Rise { height_m } => ("rise", Some(height_m)),
+            Vertical::Land => ("land", None),
+            Vertical::Cut => ("cut", None),
+        };
+        self.send(&Order { robot: self.robot.0, fly, height_m }, out);
     }
 
     fn receive(&mut self, _: Time, packet: &[u8], out: &mut Vec<Out>) {
         match serde_json::from_slice::<Word>(packet) {
             // A value that is out of range is unknown; the rest of the line counts, above all a fault.
-            Ok(Word { health, battery, temperature_c, reason }) => {
+            Ok(Word { health, battery, temperature_c, reason, flight }) => {
                 let health = match health {
                     Condition::Ready => Health::Ready,
                     Condition::Faulty => Health::Faulty,
@@ -123,6 +168,14 @@ impl Driver for Lines {
                 let charge = battery.and_then(|battery| u8::try_from(battery).ok()).filter(|charge| *charge <= 100);
                 let reason = reason.as_deref().and_then(Reason::new);
                 out.push(Out::Condition(Hardware { health, battery: charge, temperature, reason }));
+                match flight {
+                    None => {}
+                    Some(_) if !self.flies => out.push(Out::Refused("it flies, and its driver has no flies = true")),
+                    Some(State::Grounded) => out.push(Out::Flight(Flight::Grounded)),
+                    Some(State::Rising) => out.push(Out::Flight(Flight::Rising)),
+                    Some(State::Flying) => out.push(Out::Flight(Flight::Flying)),
+                    Some(State::Landing) => out.push(Out::Flight(Flight::Landing)),
+                }
                 if charge.is_none() && battery.is_some() {
                     out.push(Out::Refused("a battery is not 0 to 100 %"));
                 }

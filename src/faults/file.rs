@@ -4,7 +4,7 @@
 //! [[actor]]
 //! actor = "controller"     # cache, agent, controller, body, world, state-server, network
 //! robot = 2                # robot of the actor; for an agent, a robot whose policy it runs; state-server has none
-//! fault = "crash"          # crash, stall, mute, slow
+//! fault = "crash"          # crash, stall, mute, slow; for the body of a robot that flies: flat (battery)
 //! at_s = 3.0               # start, from the start of the trial, or from the start of:
 //! episode = 5              # an episode, counted from 0; may be left out
 //! for_s = 1.5              # duration
@@ -135,6 +135,10 @@ impl ActorEntry {
         if self.fault == ActorFaultKind::Slow && self.by_s <= 0.0 {
             let reason = "a slow actor needs a delay; give seconds above 0".to_owned();
             return Err(ConfigError::field(field("by_s"), reason));
+        }
+        if self.fault == ActorFaultKind::Flat && self.actor != Role::Body {
+            let reason = "only a body has a battery; write actor = \"body\"".to_owned();
+            return Err(ConfigError::field(field("actor"), reason));
         }
         Ok(ActorFault {
             role: self.actor,

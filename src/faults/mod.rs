@@ -50,6 +50,8 @@ pub enum ActorFaultKind {
     Mute,
     /// The actor handles messages and timers with an additional delay.
     Slow,
+    /// The battery of a simulated robot that flies is empty; after the fault it is full. Only for the role Body.
+    Flat,
 }
 
 /// One planned fault of one actor, with its time.

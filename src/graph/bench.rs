@@ -1,11 +1,13 @@
 //! Bench: runs the Bodies and the Localizer of one host without a Network or a team, in real time, for checks of its
 //! devices. A Wiggle may drive the robots; otherwise they stand still.
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
 use tracing::info_span;
 
+use super::airborne::Airborne;
 use super::bodies::{start_body, start_source};
 use super::devices::Devices;
 use crate::actors::drive_check::DriveCheck;
@@ -16,14 +18,18 @@ use crate::estimation;
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
-use crate::messages::wire::{Hardware, MotorCommand, Reading};
+use crate::messages::wire::{Hardware, MotorCommand, Phase, Reading};
 use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
-use crate::time::Span;
+use crate::time::{Span, Time};
 
 /// Period and validity of commands to stand still. A command expires just when the next one is sent.
 const STAND_PERIOD: Span = Span::from_millis(100);
+
+/// Longest time for which robots that fly rise before a Wiggle begins. One that is not at its height by then does not
+/// move, which the Wiggle finds.
+const RISING: Span = Span::from_millis(15_000);
 
 /// Event of a bench, on which the devices of one host run without a team, for checks.
 #[derive(Clone, Debug)]
@@ -51,16 +57,49 @@ pub struct Bench {
     source: Mailbox<localizer::In>,
     /// Whether the host has a source. If not, the robots' odometry is used instead.
     localizes: bool,
+    /// Robots that fly, the states of their flights, and since when they rise for the Wiggle; `None` before.
+    fliers: Vec<RobotId>,
+    airborne: Airborne,
+    rising: Cell<Option<Time>>,
+    ends: Cell<bool>,
 }
 
 impl Bench {
     /// Starts the Wiggle, a check that drives each robot a short way. Without a configured Wiggle, nothing happens.
+    /// Robots that fly rise for it first.
     pub fn begin(&self) {
-        self.send(wiggle::In::Begin);
+        match self.fliers.is_empty() {
+            true => self.send(wiggle::In::Begin),
+            false => self.rising.set(self.rising.get().or(Some(Time::MAX))),
+        }
+    }
+
+    /// Whether a robot of the bench is in the air, for whose landing the caller has to wait.
+    pub fn is_airborne(&self) -> bool {
+        self.airborne.any()
+    }
+
+    /// Stands in for the state server of robots that fly: they rise once the Wiggle is to begin, and it begins when all
+    /// are at their heights, or when the longest time for that is over.
+    fn lead_fliers(&self, now: Time) {
+        let phase = if self.rising.get().is_some() { Phase::Resetting } else { Phase::NeedReset };
+        for robot in &self.fliers {
+            self.bodies[robot].send(body::In::Instruction(Latch::default(), phase));
+        }
+        let since = match self.rising.get() {
+            Some(Time::MAX) => now,
+            Some(since) => since,
+            None => return,
+        };
+        self.rising.set(Some(since));
+        if self.fliers.iter().all(|robot| self.airborne.flies(*robot)) || now.since(since) >= RISING {
+            self.send(wiggle::In::Begin);
+        }
     }
 
     /// Ends the Wiggle (the check that drives each robot a short way), if it runs, and stops all robots for good.
     pub fn leave(&self) {
+        self.ends.set(true);
         self.send(wiggle::In::End);
         self.bodies.values().for_each(|body| body.send(body::In::Leave));
     }
@@ -97,14 +136,21 @@ pub fn wire(
         wiggle: wiggle.is_some().then(|| Mailbox::new("wiggle")),
         source: Mailbox::new("localizer"),
         localizes: devices.source.is_some(),
+        fliers: devices.drivers.keys().copied().filter(|robot| deployment.flight(*robot).is_some()).collect(),
+        airborne: Airborne::default(),
+        rising: Cell::new(None),
+        ends: Cell::new(false),
     });
+    if !bench.fliers.is_empty() {
+        lead(clock, &bench);
+    }
     for (robot, device) in &devices.drivers {
         let (robot, mailbox) = (*robot, bench.bodies[robot].clone());
         let out = of_body(&bench, robot, Rc::clone(&report));
         start_body(clock, &mailbox, (host, robot), (device, deployment, false), out);
         // Bodies move only after a clear latch. The caller has checked the team's latch before; only a Wiggle commands
         // motion here.
-        mailbox.send(body::In::Latch(Latch::default()));
+        mailbox.send(body::In::Instruction(Latch::default(), Phase::Running));
         let ended = mailbox.clone();
         let take = move |packet| mailbox.send(body::In::Packet(packet));
         device.watch(readers, take, move || ended.send(body::In::WorkerEnded));
@@ -128,6 +174,18 @@ pub fn wire(
         _ => stand(clock, &bench),
     }
     bench
+}
+
+/// Leads the robots that fly, periodically, until the bench ends.
+fn lead(clock: &Clock, bench: &Rc<Bench>) {
+    bench.lead_fliers(clock.now());
+    let (again, bench) = (clock.clone(), Rc::clone(bench));
+    let lead_on = move || {
+        if !bench.ends.get() {
+            lead(&again, &bench)
+        }
+    };
+    clock.call(clock.now() + STAND_PERIOD, Box::new(lead_on));
 }
 
 /// Commands all robots to stand still, periodically, so that a driver that has ended is noticed.
@@ -157,6 +215,7 @@ fn of_body(bench: &Rc<Bench>, robot: RobotId, report: Rc<dyn Fn(Event)>) -> impl
             bench.send(wiggle::In::Hardware(robot, hardware.clone()));
             report(Event::Hardware(robot, hardware));
         }
+        body::Out::Aloft(aloft) => bench.airborne.take(aloft),
         body::Out::Drive(_)
         | body::Out::Send(_)
         | body::Out::Permit(_)

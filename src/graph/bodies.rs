@@ -17,7 +17,7 @@ use crate::actors::{controller, network, senses, status};
 use crate::chassis::Chassis;
 use crate::deploy::{Deployment, Link};
 use crate::drivers::Driver;
-use crate::drivers::simulated::Simulated;
+use crate::drivers::simulated::{Lift, Simulated};
 use crate::estimation;
 use crate::localization::screen::Screen;
 use crate::localization::{self, Source, plausibility};
@@ -28,7 +28,11 @@ use crate::net::media::ether;
 use crate::net::media::radio::Radio;
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
+use crate::safety::hardware::HardwareLimits;
 use crate::trial::Trial;
+
+/// Charge at which a simulated robot that flies lands, if its settings give none \[%\]: less than a landing uses.
+const FLAT_PERCENT: u8 = 10;
 
 /// Starts the Body of one robot (the actor that drives its motors), and passes its output to the other actors. The
 /// driver is the robot's own in `process.devices`, or that of a simulated robot if there is none.
@@ -38,7 +42,7 @@ pub(super) fn wire_body(clock: &Clock, trial: &Trial, graph: &Graph, robot: Robo
     let (at, world) = (robot.index(), graph.worlds[robot.index()].clone());
     let source = process.devices.source.as_ref().map(|_| graph.source.clone());
     let controller = (graph.routes.agent_host(robot) == host).then(|| graph.controllers[at].clone());
-    let events = Rc::clone(&graph.events);
+    let (events, airborne) = (Rc::clone(&graph.events), graph.airborne.clone());
     let out = move |out| match out {
         body::Out::Drive(drive) => world.send(world::In::Drive(drive)),
         body::Out::Send(_) => {}
@@ -52,6 +56,10 @@ pub(super) fn wire_body(clock: &Clock, trial: &Trial, graph: &Graph, robot: Robo
         body::Out::Permit(permit) => {
             controller.iter().for_each(|controller| controller.send(controller::In::Permit(permit)));
         }
+        body::Out::Aloft(aloft) => {
+            airborne.take(aloft);
+            network.send(network::In::Publish(Wire::Aloft(aloft)));
+        }
         body::Out::Follows(latch) => status.send(status::In::Body(robot, latch)),
         body::Out::Stop(stop) => network.send(network::In::Publish(Wire::Stop(stop))),
     };
@@ -61,9 +69,18 @@ pub(super) fn wire_body(clock: &Clock, trial: &Trial, graph: &Graph, robot: Robo
             start_body(clock, &graph.bodies[at], (host, robot), about, out);
         }
         None => {
-            let signed = graph.signed;
-            let make =
-                move |_| Body::new((host, robot), Box::new(Simulated), Chassis::default()).with_signed_orders(signed);
+            let (signed, flight) = (graph.signed, trial.deployment.flight(robot));
+            let limits = flight.map_or_else(HardwareLimits::default, |_| {
+                let own = trial.deployment.hardware_limits(robot);
+                HardwareLimits { battery_least: own.battery_least.or(Some(FLAT_PERCENT)), ..own }
+            });
+            // The height outlives restarts of the Body, as that of a real robot does.
+            let lift = flight.map(|_| Rc::new(RefCell::new(Lift::default())));
+            let make = move |_| {
+                let driver = Box::new(Simulated::with(lift.clone()));
+                let body = Body::new((host, robot), driver, Chassis::default()).limited(limits).flying(flight);
+                body.with_signed_orders(signed)
+            };
             start(clock, &graph.bodies[at], info_span!("body", robot = robot.0), make, out);
         }
     }
@@ -81,7 +98,9 @@ pub(super) fn start_body(
 ) {
     let (driver, gate) = (Rc::clone(&device.make), device.gate.clone());
     let (chassis, limits) = (deployment.chassis(robot), deployment.hardware_limits(robot));
-    let make = move |_| Body::new((host, robot), driver(), chassis).limited(limits).with_signed_orders(signed);
+    let flight = deployment.flight(robot);
+    let make =
+        move |_| Body::new((host, robot), driver(), chassis).limited(limits).with_signed_orders(signed).flying(flight);
     start(clock, mailbox, info_span!("body", robot = robot.0), make, move |said| match said {
         body::Out::Send(packet) => gate.iter().for_each(|gate| gate.borrow_mut().send(packet.clone())),
         other => out(other),

@@ -31,12 +31,12 @@ struct Followers {
 
 impl Followers {
     /// Delivers an instruction of the state server to the World, Agents and Controllers of this host. Its Bodies get
-    /// only the emergency stop latch of the instruction, and its Status only the phase of the episode.
+    /// the emergency stop latch of the instruction and the phase, and its Status only the phase of the episode.
     fn follow(&self, mode: &Mode) {
         self.world.iter().for_each(|world| world.send(world::In::Mode(mode.clone())));
         self.agents.iter().for_each(|agent| agent.send(agent::In::Mode(mode.clone())));
         self.controllers.iter().for_each(|controller| controller.send(controller::In::Mode(mode.clone())));
-        self.bodies.iter().for_each(|body| body.send(body::In::Latch(mode.latch)));
+        self.bodies.iter().for_each(|body| body.send(body::In::Instruction(mode.latch, mode.phase)));
         self.status.send(status::In::Mode(mode.phase));
     }
 
@@ -106,6 +106,10 @@ impl Delivery {
                 self.caches[m.robot.index()].send(cache::In::Sensed(m));
             }
             Wire::Sensed(_) => {}
+            Wire::Aloft(m) if self.decided.contains(&m.robot) => {
+                self.controllers[m.robot.index()].send(controller::In::Aloft(m.flight));
+            }
+            Wire::Aloft(_) => {}
             // Telemetry is for observers, which are outside the deployment.
             Wire::Telemetry(_) => {}
         }

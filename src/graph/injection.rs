@@ -3,7 +3,7 @@
 use std::rc::Rc;
 
 use super::process::Graph;
-use crate::faults::ActorFault;
+use crate::faults::{ActorFault, ActorFaultKind};
 use crate::net::media::ether;
 use crate::runtime::clock::Clock;
 use crate::time::Time;
@@ -33,6 +33,13 @@ pub(super) fn schedule(clock: &Clock, trial: &Rc<Trial>, graph: &Rc<Graph>) {
 }
 
 fn inject(clock: &Clock, graph: &Rc<Graph>, fault: &ActorFault, at: Time) {
+    if fault.kind == ActorFaultKind::Flat {
+        for (at, percent) in [(at, 0), (at + fault.lasts, 100)] {
+            let (robot, graph) = (fault.robot, Rc::clone(graph));
+            clock.call(at, Box::new(move || graph.charge(robot, percent)));
+        }
+        return;
+    }
     let (fault, graph) = (fault.clone(), Rc::clone(graph));
     clock.call(at, Box::new(move || graph.inject(fault)));
 }

@@ -2,6 +2,7 @@
 //! Only this module connects actors.
 
 mod agents;
+mod airborne;
 pub mod bench;
 mod bodies;
 mod delivery;
@@ -250,6 +251,7 @@ fn wire_controller(clock: &Clock, trial: &Trial, graph: &Graph, robot: RobotId, 
         signed: graph.signed,
         marks: graph.marks,
         goals: trial.scenario.goals(),
+        flies: trial.deployment.flight(robot).is_some(),
     };
     let (network, status) = (graph.network_of(host), graph.status_of(host));
     let events = Rc::clone(&graph.events);

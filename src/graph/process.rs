@@ -5,6 +5,8 @@ use std::cell::{Cell, OnceCell};
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
+use super::airborne::Airborne;
+
 use crate::actors::{
     agent, body, cache, controller, localizer, network, recorder, senses, state_server, status, world,
 };
@@ -115,6 +117,8 @@ pub struct Graph {
     pub(super) media: Rc<[Mailbox<ether::In>]>,
     /// Mailbox of the Recorder; `None` in a process without a Recorder.
     pub(super) recorder: Option<Mailbox<recorder::In>>,
+    /// Robots of this process that are in the air.
+    pub(super) airborne: Airborne,
     /// Notice of the start of each episode, for faults that are timed from it.
     pub(super) episodes: EpisodeNotice,
     /// Sink of all events of this process.
@@ -193,6 +197,7 @@ impl Graph {
             media: links("medium").map(Mailbox::new).collect(),
             events: Rc::new(Events::new(trial, process.emulated, (&process.report, recorder.as_ref()))),
             recorder,
+            airborne: Airborne::default(),
             episodes: EpisodeNotice::default(),
             routes,
             marks: if process.emulated { Marks::default() } else { trial.marks() },
@@ -253,6 +258,16 @@ impl Graph {
     /// Injects a fault into an actor of this process now, for `fault.lasts`; the start in `fault` is ignored.
     pub fn inject(&self, fault: ActorFault) {
         self.change_fault(fault.role, fault.robot, Some(&fault));
+    }
+
+    /// Sets the charge of a simulated robot that flies \[%\].
+    pub(super) fn charge(&self, robot: RobotId, percent: u8) {
+        self.bodies[robot.index()].send(body::In::Packet([percent].into()));
+    }
+
+    /// Whether a robot that this process drives is in the air, so that the process has to wait for its landing.
+    pub fn is_airborne(&self) -> bool {
+        self.airborne.any()
     }
 
     /// Ends all injected faults of an actor of this process, given by its role and robot; a crashed actor restarts.

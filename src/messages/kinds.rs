@@ -6,6 +6,7 @@
 use serde::de::{Deserialize, DeserializeSeed, Deserializer};
 use serde::{Deserialize as Read, Serialize};
 
+use super::aloft::Aloft;
 use super::body::{Body, Publisher, Receiver, Unfit};
 use super::exchange::{Latent, MotorCommand, Reading};
 use super::ids::{HostId, RobotId};
@@ -161,6 +162,8 @@ kinds! {
     Release = row(Publisher::Anyone, Receiver::Movers).with_the_stop().across_hops();
     /// Values of a sense of a robot, such as a scan of its lidar, from the host of its Body to its Cache.
     Sensed = row(Publisher::Actuator, Receiver::Perceiver);
+    /// State of the flight of a robot that flies, from its Body to its Controller and operators.
+    Aloft = row(Publisher::Actuator, Receiver::Movers).and_operators().with_the_stop();
 }
 
 impl Kind {

@@ -6,6 +6,7 @@
 //! `place`, `round`, `status` and `telemetry` are their fields. `parts` cuts what is too large for a datagram.
 //! `isometry` converts poses to those of nalgebra and back.
 
+mod aloft;
 mod body;
 mod exchange;
 mod floats;

@@ -22,6 +22,7 @@ pub(super) use numbered;
 
 #[cfg(test)]
 mod tests {
+    use super::super::aloft::Flight;
     use super::super::hardware::Health;
     use super::super::phase::Phase;
     use super::super::place::{PlaceAnswer, Whereabouts};
@@ -37,6 +38,6 @@ mod tests {
                 })*
             };
         }
-        check!(Health, Hindrance, Phase, PlaceAnswer, Whereabouts);
+        check!(Flight, Health, Hindrance, Phase, PlaceAnswer, Whereabouts);
     }
 }

@@ -3,6 +3,7 @@
 //! Positions and velocities are in the world frame, \[m\] and \[m/s\]. Integers have a fixed width. Soft state
 //! (`Heartbeat`, `Mode`) is repeated and idempotent; no message asks for an answer.
 
+pub use super::aloft::*;
 pub use super::body::*;
 pub use super::exchange::*;
 pub use super::floats::*;

@@ -250,6 +250,8 @@ impl<C: Core + 'static> Shell<C> {
                 self.faults.slow = self.faults.slow.max(until);
                 self.faults.slow_by = fault.by;
             }
+            // It is the robot's, and none of the actor.
+            ActorFaultKind::Flat => {}
             ActorFaultKind::Crash => {
                 self.faults = Faults { down: self.faults.down.max(until), ..Faults::default() };
                 // A crash loses the actor's state, unsent output and delayed inputs.

@@ -84,6 +84,8 @@ pub struct Guard {
     invalid_output: bool,
     /// True while battery or temperature is beyond its limit.
     unfit: bool,
+    /// True while the robot flies and is not at its height.
+    off_height: bool,
     /// Whether the robot's pose is known to the host that measures it.
     whereabouts: Whereabouts,
     filter: Filter,
@@ -112,6 +114,7 @@ impl Guard {
             driving: None,
             invalid_output: false,
             unfit: false,
+            off_height: false,
             whereabouts: Whereabouts::Known,
             running: None,
             neighbours: Vec::with_capacity(MOST_NEIGHBOURS),
@@ -135,6 +138,12 @@ impl Guard {
     /// Returns how often each trigger has become active in this guard.
     pub(crate) fn counts(&self) -> SafetyCounts {
         self.counts
+    }
+
+    /// Returns the guard of a robot that `flies` or not: one that does is not driven before it is known to be at its
+    /// height.
+    pub(crate) fn of_a_flight(self, flies: bool) -> Guard {
+        Guard { off_height: flies, ..self }
     }
 
     /// Applies an operator's emergency stop or re-arm; returns true if the guard's state of the stop has changed.
@@ -202,6 +211,12 @@ impl Guard {
         self.set(Trigger::Hardware, self.unfit);
     }
 
+    /// Sets whether the robot flies and is not at its height, while it must not be driven. It is the course of a
+    /// flight, so it counts as no trigger.
+    pub(crate) fn set_off_height(&mut self, off_height: bool) {
+        self.off_height = off_height;
+    }
+
     /// Applies what the host that measures the robot says of its pose: the guard stops the robot while that is lost.
     /// Returns true if it was known until now and the robot has to stop.
     pub(crate) fn located(&mut self, whereabouts: Whereabouts) -> bool {
@@ -244,6 +259,10 @@ impl Guard {
         let velocity = action.velocity.unwrap_or_default();
         let wanted = clamp.limit(velocity, action.estimate.velocity, limit_m_s);
         self.invalid_output |= !is_finite(velocity) || !is_finite(wanted);
+        if self.off_height {
+            self.driving = None;
+            return Decision::Stop;
+        }
         if let Some(trigger) = self.blocking_trigger(now, action) {
             self.begin(trigger);
             self.driving = None;

@@ -179,7 +179,7 @@ fn seeded_plans_are_always_safe_and_make_progress_once_they_are_over() {
         let late = plan.actors.iter().map(|fault| match fault.kind {
             ActorFaultKind::Stall => fault.lasts,
             ActorFaultKind::Slow => fault.by,
-            ActorFaultKind::Crash | ActorFaultKind::Mute => Span::ZERO,
+            ActorFaultKind::Crash | ActorFaultKind::Mute | ActorFaultKind::Flat => Span::ZERO,
         });
         // A frame that is slowed down arrives that much later, and a garbled one may claim the longest validity.
         let links = plan.links.iter().map(|fault| match fault.kind {

@@ -12,6 +12,7 @@ mod drives;
 mod estimators;
 mod faults;
 mod filter;
+mod flight;
 mod gpsd;
 mod judged;
 mod liars;

@@ -107,7 +107,7 @@ impl Bench {
                 }
                 Out::Odometry(reading) => self.readings.push(reading),
                 Out::Refused(_) => self.refused += 1,
-                Out::Drive(_) => panic!("it is a real robot"),
+                Out::Drive(_) | Out::Flight(_) => panic!("it is a real robot, on the ground"),
             }
         }
     }

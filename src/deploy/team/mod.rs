@@ -374,8 +374,9 @@ fn check_devices(registry: &Registry, deployment: &Deployment) -> Result<(), Con
     for host in &deployment.hosts {
         let mut claims: BTreeMap<String, RobotId> = BTreeMap::new();
         for (robot, settings) in ids(&host.actuates).into_iter().zip(host.driver.iter().cycle()) {
-            let worker = registry.driver(settings, robot)?.worker;
-            let Some(claim) = worker.and_then(|worker| worker.claim()) else { continue };
+            let parts = registry.driver(settings, robot)?;
+            deployment.check_flight(robot, ((parts.driver)().flies(), &settings.name))?;
+            let Some(claim) = parts.worker.and_then(|worker| worker.claim()) else { continue };
             if let Some(other) = claims.insert(claim.clone(), robot) {
                 let why = format!("{robot} and {other} of host '{}' have one {claim}: give each its own", host.name);
                 return Err(ConfigError::field(format!("driver.robot.{}", robot.0), why));

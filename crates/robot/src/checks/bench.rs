@@ -29,6 +29,9 @@ use crate::{BadInput, signals};
 /// Time for which commands to stand are still sent to the robots, before the check of the devices ends.
 const STOPPING: Span = Span::from_millis(200);
 
+/// Longest time for which the check waits for the landing of robots that fly.
+const LANDING: Span = Span::from_millis(15_000);
+
 /// Longest time for the drivers and the source to start, in addition to the listening time. Discovery of ROS 2 takes
 /// 1.3 s, and the SDK of a RoboMaster one second.
 const STARTING: Span = Span::from_millis(3000);
@@ -107,7 +110,8 @@ pub fn look(
                 notes::take(false);
                 bench.leave();
             }
-            stopping.get().is_some_and(|at| now.since(at) >= STOPPING)
+            let down = |since: Span| since >= STOPPING && (!bench.is_airborne() || since >= LANDING);
+            stopping.get().is_some_and(|at| down(now.since(at)))
         },
     );
     workers.join();

@@ -44,6 +44,10 @@ use murmurate::live::{self, LiveHost};
 /// Time from a request to stop until the host ends, in which its last commands and its notice of shutdown are sent.
 const STOPPING: Span = Span::from_millis(200);
 
+/// Longest time for which a host that ends waits for the landing of its robots. One that has not landed by then is the
+/// firmware's.
+const LANDING: Span = Span::from_millis(15_000);
+
 /// Role that selects a host, in a team with one host of that role.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Role {
@@ -305,8 +309,13 @@ impl Watch {
         self.lost = outlets.failure();
         self.lost.is_some()
             || seen.duplicate.get().is_some()
-            || self.over.is_some_and(|at| now.since(at) >= self.grace)
-            || self.stopping.is_some_and(|at| now.since(at) >= STOPPING)
+            || self.over.is_some_and(|at| self.is_down(graph, now.since(at), self.grace))
+            || self.stopping.is_some_and(|at| self.is_down(graph, now.since(at), STOPPING))
+    }
+
+    /// Whether a host that ends since `since` has waited for `least`, and for the landing of its robots.
+    fn is_down(&self, graph: &Graph, since: Span, least: Span) -> bool {
+        since >= least && (!graph.is_airborne() || since >= LANDING)
     }
 
     /// Returns an error if the host did not end regularly. `name` is the name of the host.

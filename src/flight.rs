@@ -1,0 +1,28 @@
+//! Settings of robots that fly: at which height, and how an emergency stop ends in the air.
+
+use serde::{Deserialize, Serialize};
+
+/// Greatest height of a robot above the ground \[m\]: beyond it, laws and winds of the open air count, which this
+/// project knows nothing of.
+pub const MOST_M: f32 = 50.0;
+
+/// What a robot in the air does after an emergency stop, once it has hovered for a second.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum InAir {
+    /// It lands where it is.
+    #[default]
+    Land,
+    /// It hovers until the team goes on, its battery is low or its host ends.
+    Hover,
+}
+
+/// Settings of one robot that flies.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Height above the ground at which the robot is driven \[m\], above 0 and at most [`MOST_M`]: the same for all
+    /// episodes.
+    pub height_m: f32,
+    /// What the robot does after an emergency stop.
+    pub stop: InAir,
+}
