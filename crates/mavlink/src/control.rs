@@ -63,6 +63,8 @@ pub struct Control {
     arm_asked: Option<Time>,
     /// Mode of the autopilot's own that this host has ordered beside the one of setpoints, such as landing.
     ordered: Option<Mode>,
+    /// Whether a copter is to rise, for which it has to be armed.
+    rises: bool,
     /// What the autopilot refuses, with its reason; `None` if nothing.
     refused: Option<String>,
 }
@@ -79,6 +81,7 @@ impl Control {
             was_armed: false,
             arm_asked: None,
             ordered: None,
+            rises: false,
             refused: None,
         }
     }
@@ -167,9 +170,18 @@ impl Control {
         self.is_own() && self.seen.is_some_and(|seen| seen.armed)
     }
 
-    /// Allows one more arming, for a start that somebody has ordered.
-    pub fn may_arm_again(&mut self) {
-        (self.was_armed, self.arm_asked) = (false, None);
+    /// Takes whether a copter is to rise and its motors do not turn.
+    pub fn rise(&mut self, rises: bool) {
+        self.rises = rises;
+    }
+
+    /// Takes over that a landing that this host has ordered has ended: the mode is asked for again, and the next
+    /// take-off may arm.
+    pub fn has_landed(&mut self, now: Time) {
+        (self.was_armed, self.arm_asked, self.ordered) = (false, None, None);
+        if self.state == State::Own {
+            self.state = State::Preparing(now);
+        }
     }
 
     /// Returns the reason for which the autopilot does not follow this host; `None` if it does.
@@ -181,7 +193,7 @@ impl Control {
                 let asked = || format!("mode {} is asked for", self.name(self.own_mode()));
                 Some(self.refused.clone().unwrap_or_else(asked))
             }
-            State::Own if !self.is_ready() && self.vehicle == Vehicle::Rover => {
+            State::Own if !self.is_ready() && (self.rises || self.was_armed || self.vehicle == Vehicle::Rover) => {
                 let how = match (self.arm, self.was_armed) {
                     (_, true) => "it was disarmed: arm it by hand, or start its host again",
                     (false, _) => "it is not armed: arm it, or set arm = true of its driver",
@@ -193,9 +205,9 @@ impl Control {
         }
     }
 
-    /// Whether this host arms the vehicle now, if it asks in time: a rover at once, a copter when it is to rise.
+    /// Whether this host arms the vehicle: a rover at once, a copter when it is to rise.
     fn arms(&self) -> bool {
-        self.arm && self.is_own() && !self.was_armed
+        self.arm && self.is_own() && !self.was_armed && (self.rises || self.vehicle == Vehicle::Rover)
     }
 
     /// Returns the time at which `wake` has to be called next; `None` if nothing is to be asked for.
@@ -203,9 +215,7 @@ impl Control {
         match self.state {
             State::Preparing(since) => Some(since + BEFORE),
             State::Asked(at) => Some(at + AGAIN),
-            State::Own if self.arms() && self.vehicle == Vehicle::Rover => {
-                Some(self.arm_asked.map_or(Time::ZERO, |at| at + AGAIN))
-            }
+            State::Own if self.arms() => Some(self.arm_asked.map_or(Time::ZERO, |at| at + AGAIN)),
             _ => None,
         }
     }
@@ -316,6 +326,34 @@ mod tests {
         taken.see(at(0), seen(OFFBOARD, true));
         taken.see(at(10), seen(OFFBOARD, false));
         assert_eq!(taken.wake(at(9000)), None, "somebody else had armed it");
+    }
+
+    #[test]
+    fn a_copter_is_armed_to_rise_and_once_more_after_a_landing_that_was_ordered() {
+        let mut control = Control::new(Firmware::Px4, Vehicle::Copter, true);
+        control.see(at(0), seen(OFFBOARD, false));
+        assert_eq!((control.wake(at(10)), control.fault()), (None, None), "it stands ready");
+        control.rise(true);
+        assert_eq!(control.wake(at(20)), Some(Order::Arm));
+        control.rise(false);
+        control.see(at(100), seen(OFFBOARD, true));
+        let land = Mode::landing(Firmware::Px4);
+        control.order(Some(land));
+        control.see(at(200), seen(land, true));
+        control.see(at(900), seen(land, false));
+        assert!(control.is_own(), "the landing is this host's own");
+        control.has_landed(at(900));
+        assert_eq!(control.wake(at(1900)), Some(Order::Mode));
+        control.see(at(2000), seen(OFFBOARD, false));
+        control.rise(true);
+        assert_eq!(control.wake(at(2010)), Some(Order::Arm));
+        control.see(at(2100), seen(OFFBOARD, true));
+        control.see(at(2200), seen(OFFBOARD, false));
+        assert_eq!(control.wake(at(9000)), None, "somebody has disarmed it");
+        assert!(control.fault().expect("a reason").contains("was disarmed"));
+        control.order(Some(land));
+        control.see(at(9100), seen(Mode(3 << 16), true));
+        assert_eq!(control.fault().as_deref(), Some("the pilot took over: mode POSITION"), "he does not land");
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! Firmware of autopilots: the numbers and names of modes, and what its parameters say of the end of setpoints.
 
+use mavlink::dialects::common::{HEARTBEAT_DATA, MavAutopilot, MavType};
+
 use super::settings::{Firmware, Vehicle};
 
 /// Names of PX4's main modes, from number 1 (`px4_custom_mode.h`).
@@ -103,6 +105,38 @@ impl Mode {
         };
         name.unwrap_or_else(|| format!("number {}", self.0))
     }
+}
+
+/// Returns the reason for which an autopilot is none of this firmware and kind of vehicle, by its heartbeat; `None` if it
+/// is.
+pub fn mismatch(heartbeat: &HEARTBEAT_DATA, firmware: Firmware, vehicle: Vehicle) -> Option<String> {
+    let is = match heartbeat.autopilot {
+        MavAutopilot::MAV_AUTOPILOT_PX4 => Some(Firmware::Px4),
+        MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA => Some(Firmware::ArduPilot),
+        _ => None,
+    };
+    if is != Some(firmware) {
+        let is = is.map_or("neither PX4 nor ArduPilot".to_owned(), |is| format!("{is:?}"));
+        return Some(format!("its firmware is {is}, and `autopilot` is another"));
+    }
+    let is = match heartbeat.mavtype {
+        MavType::MAV_TYPE_GROUND_ROVER | MavType::MAV_TYPE_SURFACE_BOAT => Some(Vehicle::Rover),
+        MavType::MAV_TYPE_QUADROTOR
+        | MavType::MAV_TYPE_COAXIAL
+        | MavType::MAV_TYPE_HELICOPTER
+        | MavType::MAV_TYPE_HEXAROTOR
+        | MavType::MAV_TYPE_OCTOROTOR
+        | MavType::MAV_TYPE_TRICOPTER
+        | MavType::MAV_TYPE_DODECAROTOR => Some(Vehicle::Copter),
+        _ => None,
+    };
+    let words = match is {
+        Some(is) if is == vehicle => return None,
+        Some(Vehicle::Rover) => "a rover",
+        Some(Vehicle::Copter) => "a copter",
+        None => "neither rover nor copter",
+    };
+    Some(format!("it is {words}, and `vehicle` is another"))
 }
 
 /// Returns the names of the parameters that say what the autopilot does when setpoints end.

@@ -242,6 +242,70 @@ mod tests {
         (found, damaged)
     }
 
+    /// The messages of `sent` by pymavlink 2.4.50, of MAVLink 1.
+    const ONE: [&str; 4] = [
+        "fe090001bf00000000001208000403058c",
+        "fe350101bf54e80300000000000000000000000000000000003f000080be000000000000000000000000000000000000\
+         000000000000e70d01010157e6",
+        "fe210201bf4c0000803f0000c0400000000000000000000000000000000000000000b0000101009134",
+        "fe140301bf14ffff0101434f4d5f4f465f4c4f53535f54000000532b",
+    ];
+    /// The same of MAVLink 2.
+    const TWO: [&str; 4] = [
+        "fd0900000001bf000000000000001208000403aec6",
+        "fd3500000101bf540000e80300000000000000000000000000000000003f000080be0000000000000000000000000000\
+         00000000000000000000e70d0101013202",
+        "fd2000000201bf4c00000000803f0000c0400000000000000000000000000000000000000000b00001019c2a",
+        "fd1100000301bf140000ffff0101434f4d5f4f465f4c4f53535f54b8ed",
+    ];
+    /// The same, signed by a key of bytes 0x0f from the time 37e12 on.
+    const SIGNED: [&str; 4] = [
+        "fd0901000001bf000000000000001208000403493e000050dbbba6212bc49cf9e9e6",
+        "fd3501000101bf540000e80300000000000000000000000000000000003f000080be0000000000000000000000000000\
+         00000000000000000000e70d010101a27d000150dbbba621273c4f400e6f",
+        "fd2001000201bf4c00000000803f0000c0400000000000000000000000000000000000000000b00001014bb4000250db\
+         bba62190fdd6d9cec8",
+        "fd1101000301bf140000ffff0101434f4d5f4f465f4c4f53535f54e820000350dbbba6214fae62910a96",
+    ];
+
+    /// Messages that a host sends.
+    fn sent() -> [MavMessage; 4] {
+        let config = crate::settings::tests_config("");
+        let velocity = murmurate::messages::geometry::Vec2::new(-0.25, 0.5);
+        let wanted = crate::orders::Wanted { velocity, ..crate::orders::Wanted::STAND };
+        let now = murmurate::time::Time::from_nanos(1_000_000_000);
+        let mode = crate::firmware::Mode::followed(config.firmware, config.vehicle);
+        [
+            crate::orders::heartbeat(),
+            crate::orders::setpoint(&config, now, &wanted),
+            crate::orders::set_mode(&config, mode),
+            crate::orders::parameter(&config.link, "COM_OF_LOSS_T"),
+        ]
+    }
+
+    #[test]
+    fn every_byte_is_that_of_pymavlink_signatures_included() {
+        let key = crate::signing::Key::read(&b"0f".repeat(32)).expect("a key");
+        let signer = Signer::new(key);
+        let kinds = [
+            (ONE, Framer::new(1, 191, Version::One)),
+            (TWO, Framer::new(1, 191, Version::Two)),
+            (SIGNED, Framer::signed(1, 191, signer.clone())),
+        ];
+        let mut judge = signer;
+        for (expected, mut framer) in kinds {
+            for (message, hex) in sent().iter().zip(expected) {
+                let bytes = data_encoding::HEXLOWER.decode(hex.as_bytes()).expect("hexadecimal digits");
+                assert_eq!(framer.frame(37_000_000_000_000, message), bytes, "{message:?}");
+                let read = parse(&bytes).expect("a frame");
+                assert_eq!((read.system, read.component, &read.message), (1, 191, message));
+                if framer.signer.is_some() {
+                    assert_eq!(judge.check(37_000_000_000_000, &raw(&bytes)), Ok(()));
+                }
+            }
+        }
+    }
+
     #[test]
     fn several_frames_of_both_versions_are_found_in_any_pieces() {
         let mut bytes = Vec::new();

@@ -17,6 +17,8 @@ pub mod driver;
 pub mod firmware;
 #[cfg(feature = "mavlink")]
 pub mod frames;
+#[cfg(feature = "mavlink")]
+pub mod lift;
 pub mod link;
 #[cfg(feature = "mavlink")]
 pub mod orders;

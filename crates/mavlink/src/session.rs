@@ -3,23 +3,26 @@
 //! It sends setpoints at a rate of its own while this host commands the vehicle, or prepares to. Each has the newest
 //! velocity, or zero once that has expired. After somebody else has taken over it sends none.
 
+mod airborne;
+
 use mavlink::dialects::common::{
-    COMMAND_ACK_DATA, HEARTBEAT_DATA, MavAutopilot, MavCmd, MavMessage, MavModeFlag, MavResult, MavState, MavType,
+    COMMAND_ACK_DATA, HEARTBEAT_DATA, MavCmd, MavMessage, MavModeFlag, MavResult, MavState,
 };
-use murmurate::drivers::{Command, Driver, Limits, Out};
+use murmurate::drivers::{Command, Driver, Limits, Out, Vertical};
 use murmurate::messages::geometry::{Vec2, limit_below};
 use murmurate::messages::ids::RobotId;
-use murmurate::messages::wire::{Hardware, Health, Reason};
+use murmurate::messages::wire::{Flight, Hardware, Health, Reason};
 use murmurate::time::{Span, Time};
 
-use super::axes::Axes;
+use super::axes::{Axes, flipped};
 use super::control::{Control, Order, Seen};
-use super::firmware::Mode;
+use super::firmware::{Mode, mismatch};
 use super::frames::{Found, Framer, Splitter, Version, parse};
+use super::lift::Lift;
 use super::link::{FromWorker, Hold, Refusal, ToWorker};
 use super::orders::{self, Wanted};
 use super::requests::Requests;
-use super::settings::{AUTOPILOT, DriverConfig, Firmware, Vehicle};
+use super::settings::{AUTOPILOT, DriverConfig, Vehicle};
 use super::telemetry::{Charge, Telemetry, local};
 
 /// Period of this host's heartbeat.
@@ -60,6 +63,10 @@ pub struct Session {
     prepared: bool,
     /// Last condition that was reported.
     told: Option<Hardware>,
+    /// Height of a copter; `None` of a rover.
+    lift: Option<Lift>,
+    /// Last state of the flight that was reported.
+    flight: Option<Flight>,
 }
 
 impl Session {
@@ -87,6 +94,8 @@ impl Session {
             beat: Time::ZERO,
             prepared: false,
             told: None,
+            lift: (config.vehicle == Vehicle::Copter).then(|| Lift::new(config.firmware)),
+            flight: None,
             config,
         }
     }
@@ -97,7 +106,8 @@ impl Session {
 
     /// Whether setpoints are sent.
     fn streams(&self) -> bool {
-        self.heard.is_some() && self.closed.is_none() && self.wrong.is_none() && self.control.streams()
+        let may = self.heard.is_some() && self.closed.is_none() && self.wrong.is_none();
+        may && self.control.streams() && !self.lift.as_ref().is_some_and(|lift| lift.lands() || lift.rises_by_itself())
     }
 
     fn health(&self, now: Time) -> (Health, Option<String>) {
@@ -150,7 +160,7 @@ impl Session {
 
     /// Returns the motion that is valid at `now`.
     fn valid(&self, now: Time) -> Option<(Wanted, Time)> {
-        let may = self.control.is_ready() && !self.is_silent(now);
+        let may = self.control.is_ready() && !self.is_silent(now) && self.lift.as_ref().is_none_or(Lift::is_driven);
         self.wanted.filter(|(_, until)| *until > now && may)
     }
 
@@ -160,13 +170,14 @@ impl Session {
             Some((wanted, until)) => (wanted, Hold::For(until.since(now))),
             None => (Wanted::STAND, Hold::Standing),
         };
+        let climb_m_s = self.lift.as_ref().map_or(0.0, |lift| lift.climb_m_s(now));
         if !self.prepared {
             self.prepared = true;
             let stand = orders::setpoint(&self.config, now, &Wanted::STAND);
             out.push(Out::Send(ToWorker::Stand(&self.encoded(&stand)).encode()));
         }
         self.sent = Some((now, hold == Hold::Standing));
-        self.send(hold, &[orders::setpoint(&self.config, now, &wanted)], out);
+        self.send(hold, &[orders::setpoint(&self.config, now, &Wanted { climb_m_s, ..wanted })], out);
     }
 
     /// Returns the time at which the next setpoint is due; `None` if none are sent.
@@ -221,10 +232,14 @@ impl Session {
                     self.control.restarted();
                     self.requests.begin_again();
                 }
+                self.lift.iter_mut().for_each(|lift| lift.height(now, flipped(position.z.into())));
                 let (place, velocity) = local(position);
                 let place = Axes::default().to_team(place);
                 let reading = self.telemetry.reading(now, position.time_boot_ms, place, velocity)?;
                 out.extend(reading.map(Out::Odometry));
+            }
+            MavMessage::EXTENDED_SYS_STATE(state) => {
+                self.lift.iter_mut().for_each(|lift| lift.landed(state.landed_state));
             }
             MavMessage::BATTERY_STATUS(status) => self.charge.battery(status)?,
             MavMessage::SYS_STATUS(status) => self.charge.system(status)?,
@@ -241,25 +256,12 @@ impl Session {
 
     fn heartbeat(&mut self, now: Time, heartbeat: &HEARTBEAT_DATA) {
         (self.heard, self.refusal) = (Some((now, now)), None);
-        let firmware = match heartbeat.autopilot {
-            MavAutopilot::MAV_AUTOPILOT_PX4 => Some(Firmware::Px4),
-            MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA => Some(Firmware::ArduPilot),
-            _ => None,
-        };
-        let vehicle = vehicle(heartbeat.mavtype);
-        self.wrong = if firmware != Some(self.config.firmware) {
-            let is = firmware.map_or("neither PX4 nor ArduPilot".to_owned(), |firmware| format!("{firmware:?}"));
-            Some(format!("its firmware is {is}, and `autopilot` is another"))
-        } else if vehicle != Some(self.config.vehicle) {
-            let is = vehicle.map_or("neither rover nor copter".to_owned(), |vehicle| format!("a {vehicle:?}"));
-            Some(format!("it is {}, and `vehicle` is another", is.to_lowercase()))
-        } else {
-            None
-        };
+        self.wrong = mismatch(heartbeat, self.config.firmware, self.config.vehicle);
         let failsafe = matches!(heartbeat.system_status, MavState::MAV_STATE_CRITICAL | MavState::MAV_STATE_EMERGENCY);
         let armed = heartbeat.base_mode.contains(MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED);
         if self.wrong.is_none() {
             self.control.see(now, Seen { mode: Mode(heartbeat.custom_mode), armed, failsafe });
+            self.armed(now, armed);
         }
     }
 
@@ -269,13 +271,7 @@ impl Session {
             MavCmd::MAV_CMD_COMPONENT_ARM_DISARM => Order::Arm,
             _ => return,
         };
-        let why = match answer.result {
-            MavResult::MAV_RESULT_ACCEPTED | MavResult::MAV_RESULT_IN_PROGRESS => return,
-            MavResult::MAV_RESULT_TEMPORARILY_REJECTED => "not now",
-            MavResult::MAV_RESULT_DENIED => "denied",
-            MavResult::MAV_RESULT_UNSUPPORTED => "unsupported",
-            _ => "failed",
-        };
+        let Some(why) = refusal(answer.result) else { return };
         let why = if self.text.is_empty() { why.to_owned() } else { format!("{why}, {}", self.text) };
         self.control.refuse(order, &why);
     }
@@ -308,6 +304,7 @@ impl Session {
                 None => {}
             }
         }
+        messages.extend(self.takes_off(now));
         if !messages.is_empty() {
             self.send(Hold::Keep, &messages, out);
         }
@@ -325,21 +322,18 @@ impl Session {
             self.set(now, out);
         }
         self.report(now, out);
+        self.report_flight(out);
     }
 }
 
-/// Returns the kind of vehicle of a type of MAVLink; `None` if it is neither.
-fn vehicle(kind: MavType) -> Option<Vehicle> {
-    match kind {
-        MavType::MAV_TYPE_GROUND_ROVER | MavType::MAV_TYPE_SURFACE_BOAT => Some(Vehicle::Rover),
-        MavType::MAV_TYPE_QUADROTOR
-        | MavType::MAV_TYPE_COAXIAL
-        | MavType::MAV_TYPE_HELICOPTER
-        | MavType::MAV_TYPE_HEXAROTOR
-        | MavType::MAV_TYPE_OCTOROTOR
-        | MavType::MAV_TYPE_TRICOPTER
-        | MavType::MAV_TYPE_DODECAROTOR => Some(Vehicle::Copter),
-        _ => None,
+/// Returns the refusal of a command in words; `None` if it is accepted.
+fn refusal(result: MavResult) -> Option<&'static str> {
+    match result {
+        MavResult::MAV_RESULT_ACCEPTED | MavResult::MAV_RESULT_IN_PROGRESS => None,
+        MavResult::MAV_RESULT_TEMPORARILY_REJECTED => Some("not now"),
+        MavResult::MAV_RESULT_DENIED => Some("denied"),
+        MavResult::MAV_RESULT_UNSUPPORTED => Some("unsupported"),
+        _ => Some("failed"),
     }
 }
 
@@ -385,6 +379,14 @@ impl Driver for Session {
         self.go_on(now, out);
     }
 
+    fn flies(&self) -> bool {
+        self.lift.is_some()
+    }
+
+    fn fly(&mut self, now: Time, order: Vertical, out: &mut Vec<Out>) {
+        self.steer(now, order, out);
+    }
+
     fn wake_at(&self) -> Option<Time> {
         if self.closed.is_some() {
             return None;
@@ -404,9 +406,10 @@ impl Driver for Session {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settings::tests_config;
+    use crate::settings::{Firmware, tests_config};
     use mavlink::dialects::common::{
-        BATTERY_STATUS_DATA, CURRENT_MODE_DATA, LOCAL_POSITION_NED_DATA, SET_POSITION_TARGET_LOCAL_NED_DATA,
+        BATTERY_STATUS_DATA, CURRENT_MODE_DATA, LOCAL_POSITION_NED_DATA, MavAutopilot, MavType,
+        SET_POSITION_TARGET_LOCAL_NED_DATA,
     };
     use murmurate::messages::local::Drive;
 
@@ -424,6 +427,8 @@ mod tests {
         conditions: Vec<Hardware>,
         refused: Vec<&'static str>,
         odometry: usize,
+        flights: Vec<Flight>,
+        kind: MavType,
     }
 
     impl Bench {
@@ -437,6 +442,8 @@ mod tests {
                 conditions: Vec::new(),
                 refused: Vec::new(),
                 odometry: 0,
+                flights: Vec::new(),
+                kind: MavType::MAV_TYPE_GROUND_ROVER,
             };
             bench.packet(&FromWorker::Opened.encode());
             bench
@@ -457,6 +464,7 @@ mod tests {
                     Out::Condition(hardware) => self.conditions.push(hardware),
                     Out::Refused(why) => self.refused.push(why),
                     Out::Odometry(_) => self.odometry += 1,
+                    Out::Flight(flight) => self.flights.push(flight),
                     other => panic!("{other:?}"),
                 }
             }
@@ -477,7 +485,7 @@ mod tests {
             let armed = if self.armed { MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED } else { MavModeFlag::empty() };
             self.hear(&MavMessage::HEARTBEAT(HEARTBEAT_DATA {
                 custom_mode: self.mode,
-                mavtype: MavType::MAV_TYPE_GROUND_ROVER,
+                mavtype: self.kind,
                 autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
                 base_mode: armed,
                 system_status: MavState::MAV_STATE_ACTIVE,
@@ -507,6 +515,17 @@ mod tests {
             let mut out = Vec::new();
             self.session.drive(self.now, &Command { drive, body: None }, &mut out);
             self.note(out);
+        }
+
+        fn fly(&mut self, order: Vertical) {
+            let mut out = Vec::new();
+            self.session.fly(self.now, order, &mut out);
+            self.note(out);
+        }
+
+        fn height(&mut self, time_boot_ms: u32, height_m: f32) {
+            let place = LOCAL_POSITION_NED_DATA { time_boot_ms, z: -height_m, ..Default::default() };
+            self.hear(&MavMessage::LOCAL_POSITION_NED(place));
         }
 
         fn setpoints(&self) -> Vec<(Time, SET_POSITION_TARGET_LOCAL_NED_DATA)> {
@@ -660,5 +679,58 @@ mod tests {
             result: MavResult::MAV_RESULT_FAILED,
         }));
         assert_eq!(bench.reason(), (Health::Faulty, "it refuses to arm: failed, PreArm: no GPS"));
+    }
+
+    #[test]
+    fn a_copter_rises_hovers_lands_and_is_cut_only_by_the_order_to_cut() {
+        let mut bench = Bench::new("vehicle = 'copter'\narm = true");
+        (bench.kind, bench.mode) = (MavType::MAV_TYPE_QUADROTOR, OFFBOARD);
+        bench.run(600, true);
+        assert_eq!((bench.reason(), bench.flights.last()), ((Health::Ready, ""), Some(&Flight::Grounded)));
+        let commands = |bench: &Bench, command| {
+            let asks = |m: &MavMessage| matches!(m, MavMessage::COMMAND_LONG(c) if c.command == command);
+            bench.said.iter().filter(|(_, m)| asks(m)).count()
+        };
+        assert_eq!(commands(&bench, MavCmd::MAV_CMD_COMPONENT_ARM_DISARM), 0, "nobody has ordered it to rise");
+        bench.fly(Vertical::Rise { height_m: 1.0 });
+        bench.run(10, true);
+        assert_eq!(commands(&bench, MavCmd::MAV_CMD_COMPONENT_ARM_DISARM), 1);
+        bench.armed = true;
+        bench.heartbeat();
+        bench.height(100, 0.0);
+        bench.run(60, true);
+        let up = bench.setpoints().last().expect("sent").1.clone();
+        assert!(up.vz < -0.5 && bench.flights.last() == Some(&Flight::Rising), "{up:?}");
+        bench.drive(0.5, 0.0);
+        assert_eq!(bench.setpoints().last().expect("sent").1.vy, 0.0, "it is not at its height");
+        bench.height(200, 0.95);
+        bench.run(30, true);
+        bench.drive(0.5, 0.0);
+        assert_eq!((bench.setpoints().last().expect("sent").1.vy, bench.flights.last()), (0.5, Some(&Flight::Flying)));
+        let before = bench.setpoints().len();
+        bench.fly(Vertical::Land);
+        assert_eq!(bench.flights.last(), Some(&Flight::Landing));
+        bench.mode = Mode::landing(Firmware::Px4).0;
+        bench.run(1000, true);
+        assert_eq!(bench.setpoints().len(), before, "the autopilot lands by itself");
+        bench.armed = false;
+        bench.run(500, true);
+        assert_eq!(bench.flights.last(), Some(&Flight::Grounded));
+        bench.mode = OFFBOARD;
+        bench.run(500, true);
+        assert_eq!(bench.reason(), (Health::Ready, ""), "for the next rise");
+        let forced = |bench: &Bench| {
+            bench
+                .said
+                .iter()
+                .filter(|(_, m)| {
+                    matches!(m, MavMessage::COMMAND_LONG(c)
+            if c.command == MavCmd::MAV_CMD_COMPONENT_ARM_DISARM && c.param1 == 0.0)
+                })
+                .count()
+        };
+        assert_eq!(forced(&bench), 0);
+        bench.fly(Vertical::Cut);
+        assert_eq!(forced(&bench), 1);
     }
 }

@@ -30,7 +30,7 @@ impl Key {
     /// Reads a key from the text of its file: 64 hexadecimal digits, with white space around them. The error does not
     /// quote the text.
     pub fn read(text: &[u8]) -> Result<Key, String> {
-        let wrong = || "it has not 64 hexadecimal digits, as `printf %s PASSPHRASE | sha256sum` writes them".to_owned();
+        let wrong = || "it has not 64 hexadecimal digits, as `murmurate key new --out FILE` writes them".to_owned();
         let bytes = HEXLOWER_PERMISSIVE.decode(text.trim_ascii()).map_err(|_| wrong())?;
         bytes.try_into().map(Key).map_err(|_| wrong())
     }

@@ -4,9 +4,10 @@
 //! When a motion's validity ends without a newer packet, it makes the vehicle stand for a second. After that, what the
 //! autopilot does without setpoints is better than what a host does whose control thread hangs.
 
-use std::io;
+use std::io::{self, Read};
 use std::net::{SocketAddr, SocketAddrV4};
 use std::os::fd::OwnedFd;
+use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::rc::Rc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -58,7 +59,19 @@ impl Endpoint {
     fn key(&self) -> Result<Option<Key>, ConfigError> {
         let Some(path) = &self.link.key_file else { return Ok(None) };
         let wrong = |why: String| ConfigError::field("signing_key_file", format!("{path}: {why}"));
-        let text = regular::read(Path::new(path), LARGEST_KEY).map_err(|error| wrong(error.to_string()))?;
+        let read = || {
+            let file = regular::open(Path::new(path))?;
+            let (mode, mut text) = (file.metadata()?.permissions().mode(), Vec::new());
+            file.take(LARGEST_KEY).read_to_end(&mut text)?;
+            Ok::<_, io::Error>((mode, text))
+        };
+        let (mode, text) = read().map_err(|error| wrong(error.to_string()))?;
+        if mode & 0o077 != 0 {
+            return Err(wrong(format!(
+                "others may read it (mode {:04o}); make it private with chmod 600",
+                mode & 0o777
+            )));
+        }
         Key::read(&text).map(Some).map_err(wrong)
     }
 }
@@ -436,5 +449,40 @@ fn received(link: Link) -> LocalBoxStream<'static, Received> {
             Some((read, (line, buffer)))
         })
         .boxed_local(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_file_is_private_whole_and_never_quoted() {
+        let folder = tempfile::TempDir::new().expect("a folder");
+        let path = folder.path().join("link.key");
+        let digits = "5a".repeat(32);
+        let link = LinkSettings {
+            address: "udpin://127.0.0.1:14540".parse().expect("an address"),
+            system: 1,
+            own: (1, 191),
+            version: 2,
+            key_file: Some(path.to_string_lossy().into_owned()),
+            forward: None,
+        };
+        let endpoint = Endpoint { link, reminders: Vec::new() };
+        let refused = |part: &str| {
+            let error = endpoint.check().expect_err(part).to_string();
+            assert!(error.starts_with("signing_key_file: ") && error.contains(part), "{error}");
+            assert!(!error.contains(&digits[..16]) && !error.contains('\n'), "{error}");
+        };
+        refused("No such file");
+        std::fs::write(&path, format!("{digits}\n")).expect("it is written");
+        let may = |mode| std::fs::set_permissions(&path, PermissionsExt::from_mode(mode)).expect("it is ours");
+        may(0o640);
+        refused("chmod 600");
+        may(0o600);
+        endpoint.check().expect("a key");
+        std::fs::write(&path, &digits[1..]).expect("it is written");
+        refused("64 hexadecimal digits");
     }
 }
