@@ -1,5 +1,5 @@
-//! Axes: conversion between the team's frame, with its z axis up, and an autopilot's axes north, east and down. No other
-//! file turns or flips an axis.
+//! Axes: conversion between the team's frame, with its z axis up, and an autopilot's axes north, east and down. No
+//! other file turns or flips an axis.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -34,8 +34,8 @@ impl Axes {
         [x, y]
     }
 
-    /// Converts an autopilot's heading \[rad\], clockwise from north, to one of the team's frame, counter-clockwise from
-    /// its x axis. The result is from -pi to pi.
+    /// Converts an autopilot's heading \[rad\], clockwise from north, to one of the team's frame \[rad\], which is
+    /// counter-clockwise from its x axis. The result is from -pi to pi.
     pub fn heading(self, clockwise_rad: f64) -> f64 {
         wrapped(FRAC_PI_2 - clockwise_rad + self.yaw_rad)
     }

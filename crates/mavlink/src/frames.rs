@@ -3,10 +3,8 @@
 use mavlink::dialects::common::MavMessage;
 use mavlink::{MAV_STX, MAV_STX_V2, MAVLinkV1MessageRaw, MAVLinkV2MessageRaw, MavHeader, MavlinkVersion, Message};
 
-use super::signing::Signer;
+use super::signing::{SIGNED, Signer};
 
-/// Flag of signed frames among the flags of a frame of MAVLink 2 that a receiver has to know.
-pub const SIGNED: u8 = 0x01;
 /// Bytes of a frame beside its payload: of MAVLink 1, of MAVLink 2, and those of a signature.
 const AROUND: [usize; 3] = [8, 12, 13];
 /// Largest frame \[bytes\]: of MAVLink 2 with a signature.

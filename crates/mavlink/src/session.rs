@@ -63,6 +63,8 @@ pub struct Session {
     prepared: bool,
     /// Last condition that was reported.
     told: Option<Hardware>,
+    /// Whether the robot was ready since the start of its host.
+    was_ready: bool,
     /// Height of a copter; `None` of a rover.
     lift: Option<Lift>,
     /// Last state of the flight that was reported.
@@ -94,6 +96,7 @@ impl Session {
             beat: Time::ZERO,
             prepared: false,
             told: None,
+            was_ready: false,
             lift: (config.vehicle == Vehicle::Copter).then(|| Lift::new(config.firmware)),
             flight: None,
             config,
@@ -143,6 +146,13 @@ impl Session {
         let reason = why.as_deref().and_then(Reason::new);
         let hardware = Hardware { health, battery: self.charge.percent(), temperature: None, reason };
         if self.told.as_ref() != Some(&hardware) {
+            // Before it was ready for the first time, its state is no news.
+            self.was_ready |= health == Health::Ready;
+            if let Some(why) =
+                why.filter(|_| self.was_ready && self.told.as_ref().map(|told| &told.reason) != Some(&hardware.reason))
+            {
+                tracing::error!("{}: {why}", self.robot);
+            }
             self.told = Some(hardware.clone());
             out.push(Out::Condition(hardware));
         }

@@ -6,6 +6,8 @@ use std::fmt;
 use data_encoding::HEXLOWER_PERMISSIVE;
 use mavlink::MAVLinkV2MessageRaw;
 
+/// Flag of signed frames among the flags of a frame of MAVLink 2 that a receiver has to know.
+pub const SIGNED: u8 = 0x01;
 /// Length of a key \[bytes\] (MAVLink guide, "Message Signing").
 const KEY: usize = 32;
 /// Longest time by which the first stamp of a sender may be behind this host's, in units of 10 us: a minute (MAVLink
@@ -76,7 +78,7 @@ impl Signer {
 
     /// Checks a frame of MAVLink 2 that was received at `now`, in units of 10 us since the beginning of 2015.
     pub fn check(&mut self, now: u64, frame: &MAVLinkV2MessageRaw) -> Result<(), Unsound> {
-        if frame.incompatibility_flags() & super::frames::SIGNED == 0 {
+        if frame.incompatibility_flags() & SIGNED == 0 {
             return Err(Unsound::Unsigned);
         }
         let mut value = [0; 6];

@@ -23,7 +23,7 @@ def flown(program, firmware, port):
     team = Team(program, firmware, port, vehicle="copter", episodes=2, body=BODY)
     try:
         ended = wait(lambda: team.hosts["pc"].poll() is not None, 150.0)
-        won = sum(1 for event in team.events("pc") if event.get("event") == "episode" and event.get("success"))
+        won = sum(1 for event in team.events("pc") if event.get("verdict") == "success")
         down = wait(lambda: all([e["armed"] for e in of(log, "armed")][-1:] == [False] for log in team.logs), 20.0)
         cut = sum(1 for log in team.logs for e in of(log, "ask_arm") if e["ask_arm"] < 0.5)
         failed = missed([(f"{firmware} copters: episodes", f"{won} of 2 succeeded", bool(ended) and won == 2),

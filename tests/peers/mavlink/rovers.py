@@ -31,7 +31,7 @@ def episodes(program, firmware, port, count=4, name="", **settings):
         ended = wait(lambda: team.hosts["pc"].poll() is not None, 60.0 + 40.0 * count)
         out = team.events("pc")
         done = [event for event in out if event.get("event") == "episode"]
-        won = sum(1 for event in done if event.get("success"))
+        won = sum(1 for event in done if event.get("verdict") == "success")
         asked = [e for log in team.logs for e in logged(log) if e.get("ask_mode") == OWN[firmware]]
         first = min((e["setpoints"] for e in asked), default=0)
         bars = [(f"{firmware} {name}episodes", f"{won} of {count} succeeded", bool(ended) and won >= count - 1)]

@@ -91,15 +91,16 @@ def main():
     action.subscribe_flight_mode_change(lambda *said: modes.append((time.monotonic(), said)))
 
     def publish():
-        while True:
+        while host.poll() is None:
             still = PositionVelocityNed(PositionNed(0.0, 0.0, 0.0), VelocityNed(0.0, 0.0, 0.0))
             telemetry.publish_position_velocity_ned(still)
             time.sleep(0.04)
 
-    threading.Thread(target=publish, daemon=True).start()
     team = team_file(folder, "px4", PORT)
     log = open(folder / "server.err", "w+")
     host = subprocess.Popen([program, "host", str(team), "--robot", "0"], stdout=subprocess.DEVNULL, stderr=log)
+    publisher = threading.Thread(target=publish, daemon=True)
+    publisher.start()
     try:
         bars = []
         asked = wait(lambda: relay.mode == 6 << 16, 20.0)
@@ -112,7 +113,7 @@ def main():
         relay.changed = None
         action.set_flight_mode(FlightMode.MANUAL)
         changed = wait(lambda: relay.changed, 10.0)
-        time.sleep(2.0)
+        time.sleep(2.5)
         late = max([at - changed for at in relay.setpoints if at > changed], default=0.0) if changed else None
         bars.append(("MAVSDK's pilot: last setpoint after his mode was told", late and f"{1000 * late:.0f} ms" or late,
                      late is not None and late <= 0.1))
@@ -125,6 +126,8 @@ def main():
         return 1 if failed else 0
     finally:
         host.kill()
+        host.wait()
+        publisher.join()
 
 
 if __name__ == "__main__":

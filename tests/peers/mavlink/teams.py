@@ -67,7 +67,7 @@ localizes = [{robot}]
 driver = {driver(firmware, port + robot, driver_more, vehicle)}
 source = {source(port + robot, source_more)}
 """
-    carried = ["reading", "latent", "heartbeat", "mode", "stop"] + (["aloft"] if vehicle == "copter" else [])
+    carried = ["reading", "latent", "heartbeat", "mode", "stop"]
     text += f"""
 [[deployment.host]]
 name = "pc"
