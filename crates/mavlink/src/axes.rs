@@ -41,8 +41,8 @@ impl Axes {
     }
 }
 
-/// Converts a rate of turn \[rad/s\] between counter-clockwise, as in the team's frame, and clockwise, as around the axis
-/// down. It is its own inverse.
+/// Converts a rate of turn \[rad/s\] between counter-clockwise, as in the team's frame, and clockwise, as around the
+/// axis down. It is its own inverse.
 pub fn turned_over(rate_rad_s: f64) -> f64 {
     // Plus zero, since minus zero is odd to read.
     -rate_rad_s + 0.0

@@ -107,8 +107,8 @@ impl Mode {
     }
 }
 
-/// Returns the reason for which an autopilot is none of this firmware and kind of vehicle, by its heartbeat; `None` if it
-/// is.
+/// Returns the reason for which an autopilot is none of this firmware and kind of vehicle, by its heartbeat; `None`
+/// if it is.
 pub fn mismatch(heartbeat: &HEARTBEAT_DATA, firmware: Firmware, vehicle: Vehicle) -> Option<String> {
     let is = match heartbeat.autopilot {
         MavAutopilot::MAV_AUTOPILOT_PX4 => Some(Firmware::Px4),
@@ -167,8 +167,8 @@ pub fn when_setpoints_end(firmware: Firmware, vehicle: Vehicle, value: impl Fn(&
             let actions = ["Position", "Altitude", "Stabilized", "Return", "Land", "Hold", "Terminate", "Disarm"];
             let override_bits = ["off", "in AUTO", "in OFFBOARD", "in AUTO and OFFBOARD"];
             format!(
-                "when setpoints end, PX4 leaves OFFBOARD after {loss} (COM_OF_LOSS_T), then {}; the pilot's sticks take \
-                 over: {}",
+                "when setpoints end, PX4 leaves OFFBOARD after {loss} (COM_OF_LOSS_T), then {}; the pilot's sticks \
+                 take over: {}",
                 said("COM_OBL_RC_ACT", &actions),
                 said("COM_RC_OVERRIDE", &override_bits)
             )
@@ -187,8 +187,8 @@ pub fn when_setpoints_end(firmware: Firmware, vehicle: Vehicle, value: impl Fn(&
             let enable = ["off", "RTL", "(of old)", "SmartRTL or RTL", "SmartRTL or Land", "Land"];
             let timeout = value("GUID_TIMEOUT").map_or("some time".to_owned(), |s| format!("{s} s"));
             format!(
-                "when setpoints end, ArduPilot hovers after {timeout} (GUID_TIMEOUT); without this host's heartbeat: {}, \
-                 after {}",
+                "when setpoints end, ArduPilot hovers after {timeout} (GUID_TIMEOUT); without this host's heartbeat: \
+                 {}, after {}",
                 said("FS_GCS_ENABLE", &enable),
                 said("FS_GCS_TIMEOUT", &[])
             )

@@ -32,6 +32,8 @@ pub mod settings;
 #[cfg(feature = "mavlink")]
 pub mod signing;
 #[cfg(feature = "mavlink")]
+mod sockets;
+#[cfg(feature = "mavlink")]
 pub mod source;
 #[cfg(feature = "mavlink")]
 pub mod telemetry;

@@ -503,11 +503,11 @@ mod tests {
             }));
         }
 
-        /// Goes on by a time in which the autopilot sends heartbeats twice a second, if it `lives`, and wakes are in time.
+        /// Goes on by a time in which the autopilot sends heartbeats twice a second, if it `lives`. Wakes are in time.
         fn run(&mut self, ms: u64, lives: bool) {
             for _ in 0..ms {
-                self.now = self.now + Span::from_millis(1);
-                if lives && self.now.as_nanos() / 1_000_000 % 500 == 0 {
+                self.now += Span::from_millis(1);
+                if lives && (self.now.as_nanos() / 1_000_000).is_multiple_of(500) {
                     self.heartbeat();
                 }
                 let mut out = Vec::new();

@@ -108,8 +108,8 @@ impl Autopilot {
         self.on_earth(origin, from_origin)
     }
 
-    /// Returns the place in the team's frame \[m\] of what is so far \[m\] north and east of a point on the earth. North
-    /// and east differ between the point and the team's origin by less than 0.2 mrad where they are 1 km apart.
+    /// Returns the place in the team's frame \[m\] of what is so far \[m\] north and east of a point on the earth.
+    /// North and east differ between the point and the team's origin by less than 0.2 mrad where they are 1 km apart.
     fn on_earth(&self, point: &Geodetic, further: NorthEast) -> Result<[f64; 2], &'static str> {
         let frame = self.config.frame.ok_or("the team has no place on the earth")?;
         let [east, north, _] = frame.east_north_up(point);

@@ -64,8 +64,8 @@ impl Telemetry {
         (heading, fresh.map(|(_, attitude)| turned_over(attitude.yawspeed.into()) as f32))
     }
 
-    /// Returns the reading of a place \[m\] and a velocity that were measured `boot_ms` after switching on; `None` if it
-    /// is repeated or late. The error is the reason for which it is refused.
+    /// Returns the reading of a place \[m\] and a velocity that were measured `boot_ms` after switching on; `None` if
+    /// it is repeated or late. The error is the reason for which it is refused.
     pub fn reading(
         &mut self,
         now: Time,

@@ -5,28 +5,25 @@
 //! autopilot does without setpoints is better than what a host does whose control thread hangs.
 
 use std::io::{self, Read};
-use std::net::{SocketAddr, SocketAddrV4};
-use std::os::fd::OwnedFd;
+use std::net::SocketAddr;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::rc::Rc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use actix::{Actor, ActorContext, AsyncContext, Context, Handler, Recipient, SpawnHandle, StreamHandler, Supervised};
-use futures_util::stream::{LocalBoxStream, StreamExt, unfold};
 use mavlink::dialects::common::MavMessage;
 use murmurate::config::{ConfigError, regular};
 use murmurate::edge::{Input, Port, Seat, Worker};
 use tokio::net::UdpSocket;
-use tokio::net::unix::pipe::Receiver;
 
 use super::address::Address;
-use super::frames::{Found, Framer, LARGEST, Splitter, Version, header, parse, raw};
+use super::frames::{Found, Framer, Splitter, Version, header, parse, raw};
 use super::link::{FromWorker, Hold, REFUSALS, Refusal, ToWorker};
 use super::orders::WANTED;
-use super::serial;
 use super::settings::{AUTOPILOT, LinkSettings};
 use super::signing::{Key, Signer, Unsound};
+use super::sockets::{self, Link, Received};
 
 /// Pause before a link that cannot be opened, or was lost, is opened again.
 const PAUSE: Duration = Duration::from_secs(1);
@@ -40,8 +37,7 @@ const REFUSED: Duration = Duration::from_millis(200);
 const MOVED: Duration = Duration::from_secs(3);
 /// Period of what a source says to its autopilot: heartbeats, and so many of them to a request for messages.
 const REMINDERS: (Duration, u32) = (Duration::from_secs(1), 5);
-/// Largest datagram \[bytes\]; largest file of a key \[bytes\].
-const LARGEST_DATAGRAM: usize = 2048;
+/// Largest file of a key \[bytes\].
 const LARGEST_KEY: u64 = 4096;
 /// Beginning of the year 2015, from which signatures count \[s since 1970\] (MAVLink guide, "Message Signing").
 const YEAR_2015_S: u64 = 1_420_070_400;
@@ -91,13 +87,6 @@ impl Worker for Endpoint {
     }
 }
 
-/// Open link with an autopilot.
-#[derive(Clone)]
-enum Link {
-    Udp(Rc<UdpSocket>),
-    Serial { reader: Rc<Receiver>, writer: Rc<OwnedFd> },
-}
-
 /// Actor that has the link with one autopilot. Its life ends with an error of the link; then it is started again.
 struct Talker {
     endpoint: Endpoint,
@@ -108,7 +97,7 @@ struct Talker {
     /// Address of the autopilot, and when it was heard from there last; `None` before, and on a serial line.
     peer: Option<(SocketAddr, Option<Instant>)>,
     /// Socket for copies of the autopilot's frames.
-    copies: Option<UdpSocket>,
+    copies: Option<Rc<UdpSocket>>,
     /// Frame that makes the vehicle stand; empty before the driver has given it.
     stand: Vec<u8>,
     /// Timer of the end of a motion's validity.
@@ -149,9 +138,6 @@ impl Handler<Input> for Talker {
         }
     }
 }
-
-/// Bytes that a link has received, with their sender if they are a datagram.
-type Received = io::Result<(Option<SocketAddr>, Vec<u8>)>;
 
 impl StreamHandler<Received> for Talker {
     fn handle(&mut self, received: Received, context: &mut Context<Self>) {
@@ -194,33 +180,20 @@ impl Talker {
                 Err(error) => return self.lose(&io::Error::other(error.to_string()), context),
             }
         }
-        let opened = match &self.endpoint.link.address {
-            Address::In(at) => bind(*at).map(Link::Udp),
-            Address::Out(to) => {
-                self.peer = Some((SocketAddr::V4(*to), None));
-                bind(SocketAddrV4::new([0, 0, 0, 0].into(), 0)).map(Link::Udp)
-            }
-            Address::Serial { device, baud } => serial::open(device, *baud).and_then(|line| {
-                let writer = Rc::new(line.try_clone()?);
-                // A terminal is read like a pipe; it only fails the check for one.
-                let reader = Rc::new(Receiver::from_owned_fd_unchecked(line)?);
-                Ok(Link::Serial { reader, writer })
-            }),
-        };
-        let link = match opened {
+        if let Address::Out(to) = &self.endpoint.link.address {
+            self.peer = Some((SocketAddr::V4(*to), None));
+        }
+        let link = match Link::open(&self.endpoint.link.address) {
             Ok(link) => link,
             Err(error) => return self.lose(&error, context),
         };
         if self.endpoint.link.forward.is_some() {
-            match std::net::UdpSocket::bind("0.0.0.0:0").and_then(|socket| {
-                socket.set_nonblocking(true)?;
-                UdpSocket::from_std(socket)
-            }) {
+            match sockets::any() {
                 Ok(socket) => self.copies = Some(socket),
                 Err(error) => return self.lose(&error, context),
             }
         }
-        context.add_stream(received(link.clone()));
+        context.add_stream(sockets::received(link.clone()));
         self.link = Some(link);
         self.logged.clear();
         self.port.send(FromWorker::Opened.encode());
@@ -313,10 +286,8 @@ impl Talker {
     /// Sends a message, if the autopilot's address is known. A link that takes no more loses it: the next one comes.
     fn say(&mut self, message: &MavMessage) {
         let frame = self.framer.frame(now(), message);
-        match (&self.link, self.peer) {
-            (Some(Link::Udp(socket)), Some((peer, _))) => drop(socket.try_send_to(&frame, peer)),
-            (Some(Link::Serial { writer, .. }), _) => drop(nix::unistd::write(writer, &frame)),
-            _ => {}
+        if let Some(link) = &self.link {
+            link.send(&frame, self.peer.map(|(peer, _)| peer));
         }
     }
 
@@ -326,15 +297,14 @@ impl Talker {
         let (mut kept, mut copied) = (Vec::new(), Vec::new());
         let mut damaged = false;
         splitter.take(bytes, |found| match found {
-            Found::Frame(frame) => match self.judge(from, frame) {
-                Some(wanted) => {
+            Found::Frame(frame) => {
+                if let Some(wanted) = self.judge(from, frame) {
                     copied.extend_from_slice(frame);
                     if wanted {
                         kept.extend_from_slice(frame);
                     }
                 }
-                None => {}
-            },
+            }
             Found::Unknown => {}
             Found::Damaged => damaged = true,
         });
@@ -418,38 +388,6 @@ impl Talker {
 fn now() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since.saturating_sub(Duration::from_secs(YEAR_2015_S)).as_micros() / 10).unwrap_or_default()
-}
-
-fn bind(at: SocketAddrV4) -> io::Result<Rc<UdpSocket>> {
-    let socket = std::net::UdpSocket::bind(at)?;
-    socket.set_nonblocking(true)?;
-    UdpSocket::from_std(socket).map(Rc::new)
-}
-
-/// Returns what a link receives.
-fn received(link: Link) -> LocalBoxStream<'static, Received> {
-    match link {
-        Link::Udp(socket) => unfold((socket, vec![0; LARGEST_DATAGRAM]), |(socket, mut buffer)| async move {
-            let read = socket.recv_from(&mut buffer).await;
-            let read = read.map(|(length, from)| (Some(from), buffer[..length].to_vec()));
-            Some((read, (socket, buffer)))
-        })
-        .boxed_local(),
-        Link::Serial { reader, .. } => unfold((reader, vec![0; LARGEST]), |(line, mut buffer)| async move {
-            let read = loop {
-                if let Err(error) = line.readable().await {
-                    break Err(error);
-                }
-                match line.try_read(&mut buffer) {
-                    Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
-                    Ok(0) => break Err(io::Error::other("the line has ended")),
-                    read => break read.map(|length| (None, buffer[..length].to_vec())),
-                }
-            };
-            Some((read, (line, buffer)))
-        })
-        .boxed_local(),
-    }
 }
 
 #[cfg(test)]

@@ -210,7 +210,7 @@ def main():
                             for at, f in enumerate(both)],
         "restart": lambda: [disturbed(program, f, 16_310 + 4 * at, "restart", "took over: mode " + names[f])
                             for at, f in enumerate(both)],
-        "lie": lambda: [disturbed(program, "px4", 16_330, "lie", "a battery is neither")],
+        "lie": lambda: [disturbed(program, "px4", 16_330, "lie", "an ATTITUDE has a yaw that is none")],
         "signed": lambda: [episodes(program, "px4", 16_340, 2, "signed ", key=KEY)],
         "unsigned": lambda: [disturbed(program, "px4", 16_350, "unsigned", "a frame is unsigned on a signed link", KEY)],
         "otherkey": lambda: [disturbed(program, "px4", 16_360, "", "signed by another key", KEY, ("--key", "ff" * 32), False)],
