@@ -65,12 +65,12 @@ full-package:
     CARGO_TARGET_DIR={{justfile_directory()}}/target cargo package --locked --workspace \
         --exclude murmurate-python --exclude stranger --exclude stranger-python
 
-# Lints and tests of what speaks DDS and Zenoh, which no other build contains (10 minutes)
+# Lints and tests of what speaks MAVLink, DDS and Zenoh, which no other build contains (10 minutes)
 full-peers:
     RUSTC_WORKSPACE_WRAPPER=clippy-driver CLIPPY_ARGS=-D__CLIPPY_HACKERY__warnings__CLIPPY_HACKERY__ \
         CARGO_TARGET_DIR=target/parts CARGO_PROFILE_DEV_OPT_LEVEL=0 \
-        cargo test --locked --lib --package murmurate-ros2 --package murmurate-zenoh \
-        --features murmurate-ros2/dds,murmurate-zenoh/zenoh
+        cargo test --locked --lib --package murmurate-mavlink --package murmurate-ros2 --package murmurate-zenoh \
+        --features murmurate-mavlink/mavlink,murmurate-ros2/dds,murmurate-zenoh/zenoh
 
 # What is simulated, trained, studied, recorded and called from Python compiles for macOS (2 minutes, rustup)
 full-mac:
@@ -192,6 +192,13 @@ full-zenoh python="python3":
     cargo build --release --features zenoh
     bash tests/peers/zenoh/full.sh {{python}} target/release/murmurate
     bash tests/peers/zenoh/captured.sh {{python}}
+
+# Rovers and copters with stand-in autopilots of pymavlink, which MAVSDK accepts, and MAVSDK's own autopilot: episodes, pilots who take
+# over, hosts that die, signatures, a minute of junk. PYTHON has pymavlink and mavsdk (20 minutes and 15 to build)
+full-mavlink python="python3":
+    cargo test --package murmurate-mavlink --features mavlink
+    cargo build --release --features mavlink
+    bash tests/peers/mavlink/full.sh {{python}} target/release/murmurate
 
 # Peers of netpeer/lab.py into BUILD: those of NETPEERS, and ROS 2 and Zenoh from PyPI (5 minutes, 350 MB)
 lab-peers:

@@ -277,11 +277,14 @@ fn no_files_use_each_other_in_a_cycle() {
 }
 
 /// Files with actors that do input and output, and those that run actors.
-const AT_THE_EDGE: [&str; 11] = [
+const AT_THE_EDGE: [&str; 14] = [
     "crates/devices/src/gpsd/worker.rs",
     "crates/devices/src/natnet/worker.rs",
     "crates/devices/src/robomaster/sockets.rs",
     "crates/devices/src/robomaster/worker.rs",
+    "crates/mavlink/src/absent.rs",
+    "crates/mavlink/src/sockets.rs",
+    "crates/mavlink/src/worker.rs",
     "crates/ros2/src/supervisor.rs",
     "crates/view/src/",
     "crates/wifi/src/ask.rs",
@@ -302,6 +305,7 @@ const CONFINED: [(&str, &[&str]); 12] = [
             "crates/devices/src/robomaster/worker.rs",
             "crates/devices/src/natnet/worker.rs",
             "crates/zenoh/src/session.rs",
+            "crates/mavlink/src/worker.rs",
             "crates/ros2/src/",
             "src/edge/",
             "src/runtime/real.rs",
@@ -314,7 +318,16 @@ const CONFINED: [(&str, &[&str]); 12] = [
             "crates/robot/src/",
         ],
     ),
-    ("SystemTime", &["crates/lab/src/machine/", "crates/ros2/src/dds.rs", "crates/cli/src/", "crates/robot/src/"]),
+    (
+        "SystemTime",
+        &[
+            "crates/lab/src/machine/",
+            "crates/mavlink/src/worker.rs",
+            "crates/ros2/src/dds.rs",
+            "crates/cli/src/",
+            "crates/robot/src/",
+        ],
+    ),
     (
         "std::fs",
         &[
@@ -352,6 +365,8 @@ const CONFINED: [(&str, &[&str]); 12] = [
             "crates/devices/src/robomaster/sockets.rs",
             "crates/devices/src/robomaster/worker.rs",
             "crates/devices/src/natnet/worker.rs",
+            "crates/mavlink/src/sockets.rs",
+            "crates/mavlink/src/worker.rs",
             "src/net/transport/",
         ],
     ),

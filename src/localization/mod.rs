@@ -7,6 +7,7 @@ pub mod alignment;
 pub mod check;
 mod fused_state;
 pub(crate) mod fusion;
+pub mod geodesy;
 pub mod odometry;
 pub mod plausibility;
 pub mod program;

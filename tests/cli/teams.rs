@@ -49,7 +49,10 @@ fn every_example_is_valid_and_shows_all_its_values() {
     }
     names.sort();
     let modes = ["centralized", "mesh", "mixed", "offboard", "onboard-adhoc", "onboard-infra", "onboard-wlan"];
-    assert_eq!(names, [&modes[..], &["robomaster-optitrack", "ros2", "rtk", "turtlebot4", "zenoh"]].concat());
+    assert_eq!(
+        names,
+        [&modes[..], &["px4-rtk", "robomaster-optitrack", "ros2", "rtk", "turtlebot4", "zenoh"]].concat()
+    );
 }
 
 #[test]

@@ -7,6 +7,7 @@ use murmurate::actor::Core;
 use murmurate::actors::localizer::{self, Localizer};
 use murmurate::chassis::Chassis;
 use murmurate::edge::Settings;
+use murmurate::localization::geodesy::{Geodetic, LocalFrame};
 use murmurate::localization::plausibility;
 use murmurate::localization::screen::Screen;
 use murmurate::messages::geometry::{Motion, Pose, Vec2, rotated, wrapped};
@@ -16,7 +17,6 @@ use murmurate::messages::wire::{Located, Reading};
 use murmurate::random::{RngExt, Seed, Stream, normals};
 use murmurate::registry::Registry;
 use murmurate::time::{Span, Time};
-use murmurate_devices::gpsd::geodesy::{Geodetic, LocalFrame};
 use murmurate_ros2::packet::{self, FromNode, PoseSample, ReceivedMessage, Sample, TwistSample};
 
 use crate::natnet::fake;

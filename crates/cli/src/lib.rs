@@ -68,6 +68,7 @@ const DIGESTS: &[&str] = &[
     #[cfg(feature = "lab")]
     murmurate_lab::DIGEST,
     murmurate_launch::DIGEST,
+    murmurate_mavlink::DIGEST,
     murmurate_onnx::DIGEST,
     murmurate_record::DIGEST,
     murmurate_replay::DIGEST,

@@ -18,6 +18,7 @@ pub fn digest() -> &'static str {
         murmurate::DIGEST,
         crate::DIGEST,
         murmurate_devices::DIGEST,
+        murmurate_mavlink::DIGEST,
         murmurate_onnx::DIGEST,
         murmurate_ros2::DIGEST,
         murmurate_tasks::DIGEST,

@@ -37,7 +37,7 @@ pub struct Args {
 
 /// Log filter of `doctor`, as `target=level` entries. Messages of drivers and sources are off; the findings show them.
 pub const LEVEL: &str = "error,murmurate::drivers=off,murmurate::localization=off,murmurate::edge=off,\
-    murmurate_ros2=off,murmurate::actors=off,murmurate::safety=off";
+    murmurate_mavlink=off,murmurate_ros2=off,murmurate::actors=off,murmurate::safety=off";
 
 /// Runs `doctor`: makes the checks and prints the findings.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {

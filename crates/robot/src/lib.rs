@@ -167,11 +167,12 @@ pub fn runs_within(started_by: Vec<OsString>) {
     let _ = STARTED_BY.set(started_by);
 }
 
-/// Returns the registry of the program: the parts of the library, of ROS 2, of Zenoh and of the library of tasks.
+/// Returns the registry of the program: the parts of the library, of MAVLink, of ROS 2, of Zenoh and of the library of
+/// tasks.
 /// Another program adds its own parts to it.
 pub fn registry() -> Registry {
-    let registry = murmurate_tasks::add(murmurate_ros2::add(murmurate_devices::add(Registry::builtin())));
-    registry.with_transport(murmurate_zenoh::ENTRY).reading_tasks(read_task).of_program()
+    let registry = murmurate_ros2::add(murmurate_mavlink::add(murmurate_devices::add(Registry::builtin())));
+    murmurate_tasks::add(registry).with_transport(murmurate_zenoh::ENTRY).reading_tasks(read_task).of_program()
 }
 
 /// Returns the text of a task file.

@@ -7,7 +7,6 @@
 //!
 //! For a receiver at 10 Hz, `own_state_s` must be at least 0.25 s, because gaps of up to 0.12 s were measured.
 
-pub mod geodesy;
 mod places;
 mod receivers;
 mod report;
@@ -26,7 +25,7 @@ use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::Reading;
 use murmurate::time::{Span, Time};
 
-use geodesy::Geodetic;
+use murmurate::localization::geodesy::Geodetic;
 use places::Places;
 use receivers::Receivers;
 use report::{Att, Fix, GpsdReport, Gst, Kind, Malformed, Tpv};

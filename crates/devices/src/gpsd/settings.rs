@@ -4,10 +4,10 @@ use murmurate::config::ConfigError;
 use murmurate::config::fields::FieldType;
 use murmurate::edge::Settings;
 use murmurate::localization::alignment::Alignment;
+use murmurate::localization::geodesy::{Geodetic, LocalFrame};
 use murmurate::time::Span;
 use serde::Deserialize;
 
-use super::geodesy::{Geodetic, LocalFrame};
 use super::report::Fix;
 
 /// Default TCP port of gpsd (registered with IANA).

@@ -269,6 +269,7 @@ pub fn at_one_place(places: &[(RobotId, Vec2)]) -> Vec<Found> {
 /// Returns what to look after if a source with this name has no readings and says nothing.
 fn where_to_look(source: &str) -> &'static str {
     match source {
+        "mavlink" => "does the autopilot send to this address, under this `system`? see `forward` of its driver",
         "gpsd" => "does gpsd run, with a receiver that has a fix?",
         "odometry" => "do the drivers of these robots report odometry?",
         "ros2" => "does anything publish its topic? see topic, type, domain and interface",
