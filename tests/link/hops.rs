@@ -302,3 +302,25 @@ fn one_that_withholds_where_no_other_way_exists_cuts_the_team_and_is_named() {
     };
     assert_eq!([0, 1, 3, 4].map(named), [vec![], vec![2], vec![2], vec![]]);
 }
+
+#[test]
+fn each_host_of_a_line_and_an_operator_beside_it_name_the_neighbour_by_which_they_hear_the_others() {
+    let (robots, cell) = (5, Cell { hosts: 6, loss: 0.0, ..LINE });
+    for keys in [Keys::Team, Keys::Members] {
+        let mut team = Team::new(cell, (0..cell.hosts).map(|index| host(index, robots, keys)));
+        publish(&mut team, robots, Span::from_millis(6000));
+        for at in 0..cell.hosts {
+            let hops = team.rig.ways[usize::from(at)].hops.clone().expect("its link is a mesh");
+            let by: Vec<(u16, u16)> = hops.iter().map(|hop| (hop.host, hop.by)).collect();
+            let next = |to: u16| if to < at { at - 1 } else { at + 1 };
+            let expected: Vec<(u16, u16)> = (0..robots).filter(|to| *to != at).map(|to| (to, next(to))).collect();
+            assert_eq!(by, expected, "at {at}, {keys:?}");
+            assert!(hops.iter().all(|hop| hop.age_s < 1.0), "at {at}, {keys:?}: {hops:?}");
+        }
+        let overheard = |at: usize| {
+            let pairs = team.rig.ways[at].overheard.iter().map(|one| (one.at, one.host));
+            pairs.collect::<Vec<(u16, u16)>>()
+        };
+        assert_eq!((overheard(5), overheard(4)), (vec![(4, 3)], vec![]), "hosts report for themselves");
+    }
+}

@@ -19,6 +19,7 @@ use murmurate::net::protocol::reliability::{Reliabilities, Setup};
 use murmurate::net::protocol::report::Report;
 use murmurate::net::protocol::router::{Audience, Route, Router};
 use murmurate::net::protocol::sender::Peer;
+use murmurate::net::protocol::ways::Ways;
 use murmurate::random::{Seed, Stream};
 use murmurate::time::{Span, Time};
 use rand::RngExt;
@@ -107,6 +108,8 @@ pub struct Rig {
     /// Delivered messages by host, each with its time.
     pub delivered: Vec<Vec<(Time, Wire)>>,
     pub peers: Vec<Vec<Peer>>,
+    /// By which ways each host hears the others of a mesh, and sends, as it said last.
+    pub ways: Vec<Ways>,
     pub counts: Vec<LinkCounts>,
     /// Host with the same id that each host has detected.
     pub duplicates: Vec<Option<DuplicateId>>,
@@ -162,6 +165,7 @@ impl Rig {
             now: Time::ZERO,
             delivered: vec![Vec::new(); count],
             peers: vec![Vec::new(); count],
+            ways: vec![Ways::default(); count],
             counts: vec![LinkCounts::default(); count],
             duplicates: vec![None; count],
             rosters: vec![None; count],
@@ -205,7 +209,7 @@ impl Rig {
             match said {
                 Out::Deliver(message) => self.delivered[host].push((self.now, message)),
                 Out::Counts(counts) => self.counts[host] = *counts,
-                Out::Peers(peers, _) => self.peers[host] = peers,
+                Out::Peers(peers, ways) => (self.peers[host], self.ways[host]) = (peers, *ways),
                 Out::Duplicate(duplicate) => self.duplicates[host] = Some(duplicate),
                 Out::Admit(_, guest) => self.admitted[host].push(guest),
                 Out::Keep(number, _) => kept.push(number),
