@@ -185,7 +185,7 @@ def junk(program, port, seconds=60.0):
 
 def sample():
     """Frames of many kinds, by pymavlink."""
-    from pymavlink.dialects.v20 import common as mav
+    from pymavlink.dialects.v20 import development as mav
 
     link = mav.MAVLink(None, srcSystem=1, srcComponent=1)
     messages = [mav.MAVLink_heartbeat_message(10, 12, 129, 6 << 16, 4, 3), mav.MAVLink_attitude_message(1, 0, 0, 1, 0, 0, 0),
