@@ -3,7 +3,7 @@ signatures, junk.
 
     python3 rovers.py MURMURATE [CASE...]
 
-CASE: episodes, lost, pilot, kill, halt, silence, restart, double, lie, signed, unsigned, otherkey, doctor, junk. Prints a
+CASE: episodes, one, double, loss, pilot, kill, halt, silence, restart, double, lie, signed, unsigned, otherkey, doctor, junk. Prints a
 line for each figure with its bar; exit code 1 if one is missed. PYTHON has pymavlink.
 """
 
@@ -25,9 +25,11 @@ def at_of(log, since, **wanted):
     return found[0] if found else None
 
 
-def episodes(program, firmware, port, count=4, name="", **settings):
+def episodes(program, firmware, port, count=4, name="", line="", **settings):
     team = Team(program, firmware, port, episodes=count, **settings)
     try:
+        for robot in team.peers if line else ():
+            tell(robot, line)
         ended = wait(lambda: team.hosts["pc"].poll() is not None, 60.0 + 40.0 * count)
         out = team.events("pc")
         done = [event for event in out if event.get("event") == "episode"]
@@ -185,7 +187,7 @@ def junk(program, port, seconds=60.0):
 
 def sample():
     """Frames of many kinds, by pymavlink."""
-    from pymavlink.dialects.v20 import common as mav
+    from pymavlink.dialects.v20 import development as mav
 
     link = mav.MAVLink(None, srcSystem=1, srcComponent=1)
     messages = [mav.MAVLink_heartbeat_message(10, 12, 129, 6 << 16, 4, 3), mav.MAVLink_attitude_message(1, 0, 0, 1, 0, 0, 0),
@@ -203,6 +205,8 @@ def main():
         "episodes": lambda: [episodes(program, firmware, 14_800 + 4 * at) for at, firmware in enumerate(both)],
         "one": lambda: [episodes(program, "ardupilot", 14_810, 2, "MAVLink 1 ", peers=("--one",),
                                  driver_more=", version = 1", source_more=", version = 1")],
+        "double": lambda: [episodes(program, "px4", 14_820, 4, "doubled ", "double")],
+        "loss": lambda: [episodes(program, "px4", 14_830, 4, "10 % lost ", "drop 10")],
         "pilot": lambda: [pilot(program, firmware, 15_000 + 200 * at) for at, firmware in enumerate(both)],
         "kill": lambda: [dies(program, firmware, 15_400 + 200 * at, signal.SIGKILL) for at, firmware in enumerate(both)],
         "halt": lambda: [dies(program, firmware, 15_800 + 200 * at, signal.SIGSTOP) for at, firmware in enumerate(both)],
