@@ -108,6 +108,10 @@ full-arm:
 full-network:
     bash netpeer/compare.sh
 
+# The same for 3 to 50 hosts with few messages, data alone, also with keys of members (30 minutes, wants an idle machine)
+full-network-many:
+    NP_ROBOT=0 SENDER=1 CASES="3:20 5:20 10:20 25:20 25:60 50:20" bash netpeer/compare.sh
+
 # Robots and trackers of other programs: five of rclpy in the passage, what they apply after a host, a tracker or gpsd has died,
 # and the team as ROS messages. PYTHON has rclpy (docs/ros2.md) (30 minutes, root, apt: gpsd, wants an idle machine)
 full-robots python="python3":
