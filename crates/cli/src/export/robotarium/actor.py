@@ -94,7 +94,8 @@ class Actor:
 
         def each(network):
             layers = hop[network]
-            return self.network(f"{name}.{network}", layers, np.concatenate([parts[part] for part in layers["inputs"]], 1))
+            given = np.concatenate([parts[part] for part in layers["inputs"]], 1)
+            return self.network(f"{name}.{network}", layers, given)
 
         messages = each("message") if hop.get("message") else senders
         heads, kind = hop.get("heads") or 1, hop["aggregation"]
@@ -133,7 +134,8 @@ class Actor:
         """
         sign = np.where(np.asarray(half_turn), -1.0, 1.0).astype(np.float32)[:, None]
         position, velocity, goal = (np.asarray(given, np.float32) for given in (position, velocity, goal))
-        latent = self.network("encoder", self.policy["encoder"], self.observed(*(sign * a for a in (position, velocity, goal))))
+        observed = self.observed(*(sign * given for given in (position, velocity, goal)))
+        latent = self.network("encoder", self.policy["encoder"], observed)
         if self.policy.get("memory"):
             latent = self.remembered(latent)
         said = [latent]

@@ -122,6 +122,7 @@ class Guard:
         forward = (velocity * ahead).sum(1)
         turn = (ahead[:, 0] * velocity[:, 1] - ahead[:, 1] * velocity[:, 0]) / drive["point_ahead_m"]
         wheel = np.abs(forward) + np.abs(turn) * drive["track_m"] / 2
-        over = [np.abs(forward) / drive["speed_m_s"], np.abs(turn) / drive["yaw_rate_rad_s"], wheel / drive["wheel_speed_m_s"]]
+        over = [np.abs(forward) / drive["speed_m_s"], np.abs(turn) / drive["yaw_rate_rad_s"]]
+        over.append(wheel / drive["wheel_speed_m_s"])
         share = 1.0 / np.maximum(np.max(over, 0), 1.0)
         return np.stack([forward * share, turn * share])

@@ -49,7 +49,8 @@ class Team:
         if self.turned:
             x, y, heading = -y, x, heading + np.pi / 2
         self.centre, self.heading = np.stack([x, y], 1), heading
-        forward, left = np.stack([np.cos(heading), np.sin(heading)], 1), np.stack([-np.sin(heading), np.cos(heading)], 1)
+        forward = np.stack([np.cos(heading), np.sin(heading)], 1)
+        left = np.stack([-forward[:, 1], forward[:, 0]], 1)
         self.point = self.centre + self.ahead * forward
         # The Robotarium measures no velocities: robots do what they were told in the step before.
         self.velocity = self.commands[0][:, None] * forward + (self.ahead * self.commands[1])[:, None] * left
