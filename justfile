@@ -65,6 +65,13 @@ full-package:
     CARGO_TARGET_DIR={{justfile_directory()}}/target cargo package --locked --workspace \
         --exclude murmurate-python --exclude stranger --exclude stranger-python
 
+# Exported folders and a team in the Robotarium's simulator, every command of docs/robotarium.md (15 minutes, network, 200 MB)
+full-robotarium:
+    python3 -m venv target/robotarium
+    target/robotarium/bin/pip install --quiet numpy scipy matplotlib robotarium-python-simulator
+    cargo build --locked --release
+    PATH="{{justfile_directory()}}/target/robotarium/bin:$PATH" bash tests/peers/robotarium/full.sh target/release/murmurate
+
 # Lints and tests of what speaks MAVLink, DDS and Zenoh, which no other build contains (10 minutes)
 full-peers:
     RUSTC_WORKSPACE_WRAPPER=clippy-driver CLIPPY_ARGS=-D__CLIPPY_HACKERY__warnings__CLIPPY_HACKERY__ \

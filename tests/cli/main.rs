@@ -11,6 +11,7 @@ mod policies;
 #[path = "../program/mod.rs"]
 mod program;
 mod refusals;
+mod robotarium;
 mod roles;
 mod shells;
 mod sizes;

@@ -8,6 +8,7 @@
 mod conditions;
 mod deployment;
 mod drive;
+mod export;
 mod features;
 mod jobs;
 #[cfg(feature = "lab")]
@@ -44,6 +45,7 @@ fn program() -> Program {
         Command::with_subcommands("study", study::run),
         Command::of("train", train::run),
         Command::with_subcommands("task", task::run),
+        Command::with_subcommands("export", export::run),
     ];
     let teams = [
         Command::of("launch", launch::run).logging(Logging::RealTime),
