@@ -168,7 +168,8 @@ pub fn runs_within(started_by: Vec<OsString>) {
 /// Returns the registry of the program: the parts of the library, of ROS 2, of Zenoh and of the library of tasks.
 /// Another program adds its own parts to it.
 pub fn registry() -> Registry {
-    let registry = murmurate_tasks::add(murmurate_ros2::add(murmurate_devices::add(Registry::builtin())));
+    let devices = murmurate_crazyflie::add(murmurate_devices::add(Registry::builtin()));
+    let registry = murmurate_tasks::add(murmurate_ros2::add(devices));
     registry.with_transport(murmurate_zenoh::ENTRY).reading_tasks(read_task).of_program()
 }
 
