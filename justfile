@@ -78,6 +78,7 @@ full-peers:
         CARGO_TARGET_DIR=target/parts CARGO_PROFILE_DEV_OPT_LEVEL=0 \
         cargo test --locked --lib --package murmurate-mavlink --package murmurate-ros2 --package murmurate-zenoh \
         --features murmurate-mavlink/mavlink,murmurate-ros2/dds,murmurate-zenoh/zenoh
+    cargo test --locked --package murmurate-crazyflie --features link
 
 # What is simulated, trained, studied, recorded and called from Python compiles for macOS (2 minutes, rustup)
 full-mac:
@@ -124,6 +125,12 @@ full-network-many:
 full-robots python="python3":
     cargo build --release --features ros2
     bash tests/peers/ros2/full.sh {{python}} target/release/murmurate
+
+# The fake Crazyflie before cflib, and the driver before the fake Crazyflie. PYTHON has cflib (two minutes)
+full-crazyflie python="python3":
+    cargo test --package murmurate-crazyflie --features link
+    cargo build --package murmurate-crazyflie --features link --example fake_crazyflie
+    bash tests/peers/crazyflie/full.sh {{python}} target/debug/examples/fake_crazyflie
 
 # Exactly what the gate runs (under 30 minutes on 2 cores)
 ci:

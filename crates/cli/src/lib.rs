@@ -64,6 +64,7 @@ fn program() -> Program {
 /// Digests of the sources of all packages of this program.
 const DIGESTS: &[&str] = &[
     murmurate::DIGEST,
+    murmurate_crazyflie::DIGEST,
     murmurate_devices::DIGEST,
     murmurate_import::DIGEST,
     murmurate_report::DIGEST,

@@ -17,6 +17,7 @@ pub fn digest() -> &'static str {
     set(&[
         murmurate::DIGEST,
         crate::DIGEST,
+        murmurate_crazyflie::DIGEST,
         murmurate_devices::DIGEST,
         murmurate_mavlink::DIGEST,
         murmurate_onnx::DIGEST,

@@ -171,8 +171,9 @@ pub fn runs_within(started_by: Vec<OsString>) {
 /// tasks.
 /// Another program adds its own parts to it.
 pub fn registry() -> Registry {
-    let registry = murmurate_ros2::add(murmurate_mavlink::add(murmurate_devices::add(Registry::builtin())));
-    murmurate_tasks::add(registry).with_transport(murmurate_zenoh::ENTRY).reading_tasks(read_task).of_program()
+    let devices = murmurate_crazyflie::add(murmurate_mavlink::add(murmurate_devices::add(Registry::builtin())));
+    let registry = murmurate_tasks::add(murmurate_ros2::add(devices));
+    registry.with_transport(murmurate_zenoh::ENTRY).reading_tasks(read_task).of_program()
 }
 
 /// Returns the text of a task file.
