@@ -116,7 +116,7 @@ full-arm:
 full-network:
     bash netpeer/compare.sh
 
-# The same for 3 to 50 hosts with few messages, data alone, also with keys of members (30 minutes, wants an idle machine)
+# The same for 3 to 50 hosts with few messages, data alone; with keys of members up to 23 hosts (30 minutes, wants an idle machine)
 full-network-many:
     NP_ROBOT=0 SENDER=1 CASES="3:20 5:20 10:20 25:20 25:60 50:20" bash netpeer/compare.sh
 
