@@ -115,8 +115,8 @@ mod tests {
     #[test]
     fn a_file_of_numpy_has_a_header_of_whole_blocks() {
         let file = npy(&[1.0, 2.0]);
-        assert_eq!((file.len(), &file[..8], &file[8..10]), (64 + 8, &b"\x93NUMPY\x01\x00"[..], &[54, 0][..]));
-        assert!(file[..64].ends_with(b"\n") && file[64..] == [0, 0, 128, 63, 0, 0, 0, 64]);
+        assert_eq!((file.len(), &file[..8], &file[8..10]), (128 + 8, &b"\x93NUMPY\x01\x00"[..], &[118, 0][..]));
+        assert!(file[..128].ends_with(b"\n") && file[128..] == [0, 0, 128, 63, 0, 0, 0, 64]);
     }
 
     #[test]
