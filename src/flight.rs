@@ -2,9 +2,15 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::time::Span;
+
 /// Greatest height of a robot above the ground \[m\]: beyond it, laws and winds of the open air count, which this
 /// project knows nothing of.
 pub const MOST_M: f32 = 50.0;
+
+/// Longest time for which a process that ends waits for the landing of its robots. One that has not landed by then is
+/// its firmware's.
+pub const LANDING: Span = Span::from_millis(15_000);
 
 /// What a robot in the air does after an emergency stop, once it has hovered for a second.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

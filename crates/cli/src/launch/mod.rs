@@ -11,10 +11,13 @@ use std::ffi::OsString;
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
 use murmurate::config::shown::counted;
 use murmurate::deploy::team::{Team, TeamFile};
+use murmurate::flight::LANDING;
+use murmurate::messages::ids::RobotId;
 use murmurate::registry::Registry;
 use murmurate_report::event::Unwritten;
 use murmurate_report::summary::{CostName, Counts, Run, Summary};
@@ -85,7 +88,10 @@ fn run_team(args: &Args, team: &team::TeamArgs, place: &Place, registry: &Regist
     let file = team.read(registry)?;
     let teams: Vec<Team> = file.hosts().map(|host| team.for_host(&file, host)).collect::<Result<_>>()?;
     let policy = checked(&teams, registry)?;
-    let supervisor = Supervisor::new(processes(args, team, &file, place.before)?, Limits::default());
+    let flies = RobotId::team(file.deployment().robots).any(|robot| file.deployment().flight(robot).is_some());
+    let landing = if flies { LANDING.as_secs() } else { 0.0 };
+    let limits = Limits::default().after_landing(Duration::from_secs_f64(landing));
+    let supervisor = Supervisor::new(processes(args, team, &file, place.before)?, limits);
     let stopper = supervisor.stopper();
     let interrupted = Arc::new(AtomicBool::new(false));
     let signal = Arc::clone(&interrupted);

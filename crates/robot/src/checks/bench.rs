@@ -11,6 +11,7 @@ use anyhow::Result;
 use murmurate::actors::wiggle;
 use murmurate::deploy::Host;
 use murmurate::deploy::team::Team;
+use murmurate::flight::LANDING;
 use murmurate::graph::bench::{self, Bench, Event};
 use murmurate::graph::devices::{self, DeviceError, Devices, Workers};
 use murmurate::graph::event;
@@ -28,9 +29,6 @@ use crate::{BadInput, signals};
 
 /// Time for which commands to stand are still sent to the robots, before the check of the devices ends.
 const STOPPING: Span = Span::from_millis(200);
-
-/// Longest time for which the check waits for the landing of robots that fly.
-const LANDING: Span = Span::from_millis(15_000);
 
 /// Longest time for the drivers and the source to start, in addition to the listening time. Discovery of ROS 2 takes
 /// 1.3 s, and the SDK of a RoboMaster one second.

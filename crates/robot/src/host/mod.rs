@@ -15,6 +15,7 @@ use self::seen::Seen;
 use anyhow::{Context, Result, anyhow};
 use clap::ValueEnum;
 use murmurate::deploy::team::{Team, TeamFile};
+use murmurate::flight::LANDING;
 use murmurate::graph::process::Graph;
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::link::DuplicateId;
@@ -43,10 +44,6 @@ use murmurate::live::{self, LiveHost};
 
 /// Time from a request to stop until the host ends, in which its last commands and its notice of shutdown are sent.
 const STOPPING: Span = Span::from_millis(200);
-
-/// Longest time for which a host that ends waits for the landing of its robots. One that has not landed by then is the
-/// firmware's.
-const LANDING: Span = Span::from_millis(15_000);
 
 /// Role that selects a host, in a team with one host of that role.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
