@@ -48,13 +48,6 @@ pub struct Limits {
     pub stop: Duration,
 }
 
-impl Limits {
-    /// Returns the limits for processes that end only once their robots have landed, `landing` later at the most.
-    pub fn after_landing(self, landing: Duration) -> Limits {
-        Limits { finish: self.finish + landing, stop: self.stop + landing, ..self }
-    }
-}
-
 impl Default for Limits {
     fn default() -> Limits {
         let s = Duration::from_secs;

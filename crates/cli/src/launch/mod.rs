@@ -89,8 +89,8 @@ fn run_team(args: &Args, team: &team::TeamArgs, place: &Place, registry: &Regist
     let teams: Vec<Team> = file.hosts().map(|host| team.for_host(&file, host)).collect::<Result<_>>()?;
     let policy = checked(&teams, registry)?;
     let flies = RobotId::team(file.deployment().robots).any(|robot| file.deployment().flight(robot).is_some());
-    let landing = if flies { LANDING.as_secs() } else { 0.0 };
-    let limits = Limits::default().after_landing(Duration::from_secs_f64(landing));
+    let (landing, usual) = (Duration::from_secs_f64(if flies { LANDING.as_secs() } else { 0.0 }), Limits::default());
+    let limits = Limits { finish: usual.finish + landing, stop: usual.stop + landing, ..usual };
     let supervisor = Supervisor::new(processes(args, team, &file, place.before)?, limits);
     let stopper = supervisor.stopper();
     let interrupted = Arc::new(AtomicBool::new(false));
