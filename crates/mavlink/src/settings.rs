@@ -340,7 +340,7 @@ impl SourceConfig {
 }
 
 /// Returns the settings of a driver of a rover with PX4, with changes as lines of TOML, for tests of other files.
-#[cfg(test)]
+#[cfg(all(test, feature = "mavlink"))]
 pub(crate) fn tests_config(changes: &str) -> DriverConfig {
     let base = "address = 'udpin://0.0.0.0:14540'\nautopilot = 'px4'\nvehicle = 'rover'\nspeed_m_s = 1.0";
     let mut table: toml::Table = base.parse().expect("TOML");
