@@ -48,7 +48,8 @@ fn every_example_is_valid_and_shows_all_its_values() {
         names.push(path.file_stem().expect("a name").to_string_lossy().into_owned());
     }
     names.sort();
-    let modes = ["centralized", "mesh", "mixed", "offboard", "onboard-adhoc", "onboard-infra", "onboard-wlan"];
+    let modes =
+        ["centralized", "flying", "mesh", "mixed", "offboard", "onboard-adhoc", "onboard-infra", "onboard-wlan"];
     assert_eq!(
         names,
         [&modes[..], &["px4-rtk", "robomaster-optitrack", "ros2", "rtk", "turtlebot4", "zenoh"]].concat()
