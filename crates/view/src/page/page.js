@@ -218,7 +218,7 @@ function showMesh() {
   if (!mesh) return;
   dirty = true;
   const farthest = Math.max(0, ...mesh.hops.map(one => one.hops));
-  set($("mesh-to"), mesh.hops.length ? `(up to ${farthest} hops to ${mesh.to})` : "(no hops)");
+  set($("mesh-to"), mesh.hops.length ? `(up to ${farthest} ${farthest === 1 ? "hop" : "hops"} to ${mesh.to})` : "(no hops)");
   const line = (id, text) => { $(id).hidden = !text; set($(id), text); };
   line("mesh-lost", mesh.lost.length ? `the state server has lost robots ${mesh.lost.join(", ")}` : "");
   line("mesh-withholding", mesh.withholding.length ? `passing nothing on: ${mesh.withholding.join(", ")}` : "");
