@@ -259,7 +259,8 @@ function showRows() {
     // A robot whose agent is not heard stands, whatever it said last.
     const gone = down.has(robot) ? "process died" : age > SILENT && age < 255 && s.phase !== 6 ? "missing" : "";
     const said = phase === 255 ? "–" : PHASES[phase], flies = flight.get(robot);
-    set(cells[1], gone || (flies ? `${said}, ${flies}` : said));
+    // A robot that flies is where it has to be; the column has no room for what is so all the time.
+    set(cells[1], gone || (flies && flies !== "flying" ? `${said}, ${flies}` : said));
     cells[1].className = gone ? "bad" : "";
     set(cells[2], age === 255 ? "never" : age === 250 ? "> 5 s" : `${(age / 50).toFixed(2)} s`);
     cells[2].className = age > SILENT ? "bad" : "";
