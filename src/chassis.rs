@@ -83,7 +83,7 @@ pub struct Settings {
     /// on the ground.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub height_m: Option<f32>,
-    /// What a robot that flies does after an emergency stop, once it has hovered for a second; `None` if left out.
+    /// Action of a robot that flies after an emergency stop, once it has hovered for a second; `None` if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stop_in_air: Option<InAir>,
 }

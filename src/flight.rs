@@ -12,7 +12,7 @@ pub const MOST_M: f32 = 50.0;
 /// its firmware's.
 pub const LANDING: Span = Span::from_millis(15_000);
 
-/// What a robot in the air does after an emergency stop, once it has hovered for a second.
+/// Action of a robot in the air after an emergency stop, once it has hovered for a second.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum InAir {
@@ -29,6 +29,6 @@ pub struct Settings {
     /// Height above the ground at which the robot is driven \[m\], above 0 and at most [`MOST_M`]: the same for all
     /// episodes.
     pub height_m: f32,
-    /// What the robot does after an emergency stop.
+    /// Action of the robot after an emergency stop.
     pub stop: InAir,
 }

@@ -535,7 +535,6 @@ mod tests {
         let (phase, tasks, latch) = (Phase::Running, [task].into(), Latch::default());
         let mode = Mode { round, repeat: 0, phase, first: robot, tasks, latch };
         controller.handle(Time::ZERO, In::Mode(mode), &mut Vec::new());
-
         let mut commands: Vec<(u64, f32)> = Vec::new();
         for at in 0..400 {
             let (now, mut known, mut said) = (Time::ZERO + Span::from_millis(at), Vec::new(), Vec::new());

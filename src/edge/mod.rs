@@ -12,6 +12,7 @@ mod channel;
 pub(crate) mod child;
 pub(crate) mod exclusive;
 mod group;
+pub mod hold;
 mod lines;
 pub(crate) mod panic;
 pub mod sender_clock;

@@ -55,9 +55,14 @@ const OBSERVE_PERIOD: Span = Span::from_millis(1000);
 
 /// Makes the operator `by` an observer: from now on it asks all hosts for telemetry once a second, through `network`.
 pub fn observe(clock: &Clock, network: &Mailbox<network::In>, by: HostId) {
-    network.send(network::In::Publish(Wire::Observe(Observe { by })));
+    repeat(clock, network, OBSERVE_PERIOD, [Wire::Observe(Observe { by })].into());
+}
+
+/// Publishes messages now and in every period from now on, until the process ends.
+fn repeat(clock: &Clock, network: &Mailbox<network::In>, period: Span, messages: Rc<[Wire]>) {
+    messages.iter().for_each(|message| network.send(network::In::Publish(message.clone())));
     let (again, network) = (clock.clone(), network.clone());
-    clock.call(clock.now() + OBSERVE_PERIOD, Box::new(move || observe(&again, &network, by)));
+    clock.call(clock.now() + period, Box::new(move || repeat(&again, &network, period, messages)));
 }
 
 /// Period at which an operator repeats where a robot stands until the robot's host has answered.
@@ -77,13 +82,7 @@ pub fn place(
         let own = located.answer.filter(|answer| (answer.by, answer.number) == (place.by, place.number));
         heard.set(own.or(heard.get()));
     });
-    repeat_place(clock, &network, place);
-}
-
-fn repeat_place(clock: &Clock, network: &Mailbox<network::In>, place: Place) {
-    network.send(network::In::Publish(Wire::Place(place)));
-    let (again, network) = (clock.clone(), network.clone());
-    clock.call(clock.now() + PLACE_PERIOD, Box::new(move || repeat_place(&again, &network, place)));
+    repeat(clock, &network, PLACE_PERIOD, [Wire::Place(place)].into());
 }
 
 /// Period at which an operator repeats its order to switch motors off.
@@ -104,13 +103,8 @@ pub fn cut(
             *known = Some(aloft.flight);
         }
     });
-    repeat_cut(clock, &network, by, robots.into());
-}
-
-fn repeat_cut(clock: &Clock, network: &Mailbox<network::In>, by: HostId, robots: Rc<[RobotId]>) {
-    robots.iter().for_each(|robot| network.send(network::In::Publish(Wire::Cut(Cut { by, robot: *robot }))));
-    let (again, network) = (clock.clone(), network.clone());
-    clock.call(clock.now() + CUT_PERIOD, Box::new(move || repeat_cut(&again, &network, by, robots)));
+    let orders = robots.into_iter().map(|robot| Wire::Cut(Cut { by, robot }));
+    repeat(clock, &network, CUT_PERIOD, orders.collect());
 }
 
 /// Starts an operator that carries out the order `order`, such as an emergency stop. The caller can read the progress

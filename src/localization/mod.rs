@@ -5,6 +5,7 @@
 
 pub mod alignment;
 pub mod check;
+pub mod fix;
 mod fused_state;
 pub(crate) mod fusion;
 pub mod geodesy;

@@ -104,6 +104,7 @@ fn main() {
         }
         let _ = out.flush();
         let next = began + Duration::from_millis(2 * steps);
+        // The fake robots live in real time, in which the programs of others speak to them.
         std::thread::sleep(next.saturating_duration_since(Instant::now()));
     }
 }

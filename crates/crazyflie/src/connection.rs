@@ -59,7 +59,7 @@ pub struct Connection {
     values: BTreeMap<&'static str, u8>,
     /// Whether all is set up.
     ready: bool,
-    /// Why this robot cannot be flown; `None` if nothing is known against it.
+    /// Reason for which this robot cannot be flown; `None` if there is none.
     pub fault: Option<String>,
 }
 

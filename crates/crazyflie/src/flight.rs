@@ -27,7 +27,7 @@ const DOWN: Span = Span::from_millis(300);
 /// Shortest time that is planned for a rise or a landing \[s\].
 const LEAST_S: f32 = 1.0;
 
-/// What is known of the robot.
+/// State of the robot, as far as it is known.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Seen {
     /// Height by its estimate \[m\]; `None` before the first.
@@ -193,7 +193,7 @@ impl Flights {
         let planned = Span::from_secs(f64::from((from_m.max(0.0) / self.speed_m_s).max(LEAST_S)));
         let age = now.since(since);
         let low = seen.height_m.is_none_or(|height_m| height_m < GROUND_M);
-        // Without its supervisor nobody knows where it is: then it still lands.
+        // Without its supervisor its state is unknown: then it still lands.
         let stands = seen.flies.is_some() && low && age >= planned + LATE;
         if (down && age >= DOWN) || stands {
             self.course = Course::Grounded;

@@ -30,7 +30,7 @@ pub fn toc_item(port: u8, index: u16) -> Packet {
 pub fn create_block(block: u8, variables: &[(u8, u16)]) -> Packet {
     let each = |&(kind, number): &(u8, u16)| {
         let [low, high] = number.to_le_bytes();
-        // What it is fetched as, and what it is stored as.
+        // Type in which it is fetched, and type in which it is stored.
         [kind | kind << 4, low, high]
     };
     let data: Vec<u8> = [6, block].into_iter().chain(variables.iter().flat_map(each)).collect();

@@ -56,7 +56,7 @@ pub struct Session {
     /// Time of the robot's last packet, and of the beginning before there is one.
     heard: Option<Time>,
     began: Option<Time>,
-    /// Why the link carries nothing, if it says so.
+    /// Reason for which the link carries nothing, if it gives one.
     failed: Option<String>,
     status: Option<(Time, Status)>,
     estimate: Option<(Time, Estimate)>,
@@ -74,7 +74,7 @@ pub struct Session {
     sent: Option<Time>,
     /// Condition that was reported last, with its time.
     told: Option<(Time, Hardware)>,
-    /// Why the robot did not take off, as it was logged last.
+    /// Reason for which the robot did not take off, as it was logged last.
     refusal: String,
     next: Time,
 }

@@ -119,7 +119,8 @@ impl Carrier {
         }
     }
 
-    /// Reports an error of the socket, which may be over soon: nobody listens at the address, or the network is down.
+    /// Reports an error of the socket, which may be over soon: no program listens at the address, or the network is
+    /// down.
     fn fail(&mut self, error: &io::Error, context: &mut Context<Self>) {
         let why = match error.kind() {
             io::ErrorKind::ConnectionRefused => format!("nothing listens at udp://{}", self.wire.address),

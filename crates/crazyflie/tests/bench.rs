@@ -19,7 +19,7 @@ use crate::firmware::Firmware;
 /// Delay of the network in each direction \[ms\].
 const DELAY_MS: u64 = 3;
 
-/// What a team has of one robot, and the robot.
+/// Driver and worker of one robot, and the simulated robot.
 pub struct Bench {
     pub now_ms: u64,
     pub driver: Box<dyn Driver>,

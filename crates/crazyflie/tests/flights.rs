@@ -113,7 +113,7 @@ fn what_the_supervisor_says_and_a_low_battery_are_reported_within_a_fifth_of_a_s
 }
 
 #[test]
-fn a_robot_that_is_another_one_that_nobody_sees_or_that_has_no_deck_does_not_take_off() {
+fn a_robot_that_is_another_one_unseen_or_without_a_deck_does_not_take_off() {
     let refuses = |bench: &mut Bench| {
         bench.order(Vertical::Rise { height_m: 0.5 });
         bench.run(1000);

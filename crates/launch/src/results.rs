@@ -27,7 +27,7 @@ pub enum RunEvent {
     AllRun,
     /// An episode has its result.
     Episode(Episode),
-    /// Whom the process's host hears, and how it sends.
+    /// Report of the process's host on the hosts that it hears, and on its way of sending.
     Heard(Heard),
     /// The reason is known now for which an episode was aborted whose result was there already.
     Reason(Episode),

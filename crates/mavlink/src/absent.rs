@@ -10,7 +10,7 @@ use murmurate::time::Time;
 
 use super::settings::{DriverConfig, SourceConfig};
 
-/// What cannot be, since this program has no MAVLink.
+/// Value of a type that has none, since this program has no MAVLink.
 struct Absent {
     speed_m_s: f32,
 }

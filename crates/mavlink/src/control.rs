@@ -1,4 +1,4 @@
-//! Control of an autopilot's mode and arming: when to ask, and when somebody else has taken over. No messages, no I/O.
+//! Control of an autopilot's mode and arming: times of requests, and the takeover by another. No messages, no I/O.
 //!
 //! This host asks for its mode only while the vehicle is disarmed, after a second of setpoints. Once another mode is
 //! seen after its own, it sends no setpoints any more until its process is started again. It arms once, if it may.
@@ -22,7 +22,7 @@ pub enum Order {
     Arm,
 }
 
-/// State of an autopilot that somebody may command.
+/// State of an autopilot, as its messages say.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Seen {
     /// Mode that it is in.
@@ -33,7 +33,7 @@ pub struct Seen {
     pub failsafe: bool,
 }
 
-/// Who commands the autopilot.
+/// Party that commands the autopilot.
 #[derive(Clone, Debug, PartialEq)]
 enum State {
     /// Nobody is known to. The text says why this host does not ask for its mode, if it could.
@@ -65,7 +65,7 @@ pub struct Control {
     ordered: Option<Mode>,
     /// Whether a copter is to rise, for which it has to be armed.
     rises: bool,
-    /// What the autopilot refuses, with its reason; `None` if nothing.
+    /// Order that the autopilot refuses, with its reason, as text; `None` if it refuses none.
     refused: Option<String>,
 }
 
@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_who_drives_an_armed_vehicle_is_interrupted() {
+    fn a_pilot_of_an_armed_vehicle_is_not_interrupted() {
         let mut control = px4(true);
         control.see(at(0), seen(MANUAL, true));
         assert!(!control.streams() && control.wake_at().is_none());

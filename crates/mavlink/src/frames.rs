@@ -19,7 +19,7 @@ pub enum Version {
     Two,
 }
 
-/// What bytes of a link contain.
+/// Content of a link's bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Found<'a> {
     /// A whole frame with a correct checksum.

@@ -16,7 +16,7 @@ const THERE: (f64, f64) = (0.1, 0.1);
 /// Period at which the take-off is asked for again while the copter is on the ground.
 const AGAIN: Span = Span::from_millis(1000);
 
-/// What this host has ordered.
+/// Order that this host has given.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Plan {
     /// Nothing: the copter does what its autopilot or its pilot does.
@@ -63,7 +63,7 @@ impl Lift {
         self.plan = if self.flight() == Some(Flight::Grounded) { Plan::None } else { Plan::Land };
     }
 
-    /// Takes over that this host orders nothing any more: somebody else flies the copter.
+    /// Takes over that this host orders nothing any more: another flies the copter.
     pub fn leave(&mut self) {
         self.plan = Plan::None;
     }

@@ -2,18 +2,7 @@
 //! They contain no key and no signature that counts: the worker signs, and checks signatures.
 
 use murmurate::edge::Packet;
-use murmurate::time::Span;
-
-/// Time for which a vehicle's motion stays valid after a packet. When it ends, the worker sends what makes it stand.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Hold {
-    /// The validity stays as before, because the packet moves nothing.
-    Keep,
-    /// The vehicle stands, or gets no setpoints: the validity has no end.
-    Standing,
-    /// The validity is this long, counted from the arrival of the packet at the worker.
-    For(Span),
-}
+pub use murmurate::edge::hold::Hold;
 
 /// Packet of a driver to its worker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,15 +65,7 @@ impl ToWorker<'_> {
     /// Returns the packet as bytes.
     pub fn encode(&self) -> Packet {
         match self {
-            ToWorker::Send(hold, frames) => {
-                let hold = match hold {
-                    Hold::Keep => u64::MAX,
-                    Hold::Standing => 0,
-                    // Zero would mean standing.
-                    Hold::For(span) => span.as_nanos().clamp(1, u64::MAX - 1),
-                };
-                [b"W", &hold.to_le_bytes()[..], frames].concat().into()
-            }
+            ToWorker::Send(hold, frames) => [b"W", &hold.to_bytes()[..], frames].concat().into(),
             ToWorker::Stand(frame) => [b"S", *frame].concat().into(),
         }
     }
@@ -95,11 +76,7 @@ impl ToWorker<'_> {
         match tag {
             b'W' => {
                 let (hold, frames) = rest.split_first_chunk()?;
-                let hold = match u64::from_le_bytes(*hold) {
-                    u64::MAX => Hold::Keep,
-                    0 => Hold::Standing,
-                    ns => Hold::For(Span::from_nanos(ns)),
-                };
+                let hold = Hold::from_bytes(*hold);
                 Some(ToWorker::Send(hold, frames))
             }
             b'S' => Some(ToWorker::Stand(rest)),
@@ -137,6 +114,7 @@ impl FromWorker<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use murmurate::time::Span;
 
     #[test]
     fn packets_are_read_back_and_others_are_refused() {

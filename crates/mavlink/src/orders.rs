@@ -231,7 +231,7 @@ mod tests {
     fn a_differential_drive_gets_its_speed_ahead_and_a_clockwise_yaw_rate() {
         let body = of("autopilot = 'ardupilot'\nsetpoints = 'body'", &moving(0.25, -0.5));
         assert_eq!((body.vx, body.vy, body.yaw_rate), (0.7, 0.0, -0.5));
-        #[allow(deprecated)] // As above.
+        #[allow(deprecated)] // The frame that `setpoint` takes for ArduPilot's rovers.
         let own = MavFrame::MAV_FRAME_BODY_NED;
         assert_eq!((body.type_mask.bits(), body.coordinate_frame), (1511, own));
         let unknown = of("autopilot = 'ardupilot'\nsetpoints = 'body'", &Wanted { body: None, ..moving(1.0, 0.0) });

@@ -1,7 +1,7 @@
 //! Session with one autopilot: the part of the driver that does no I/O.
 //!
 //! It sends setpoints at a rate of its own while this host commands the vehicle, or prepares to. Each has the newest
-//! velocity, or zero once that has expired. After somebody else has taken over it sends none.
+//! velocity, or zero once that has expired. After a takeover it sends none.
 
 mod airborne;
 

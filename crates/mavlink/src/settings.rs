@@ -5,6 +5,7 @@ use std::net::SocketAddrV4;
 use murmurate::config::ConfigError;
 use murmurate::edge::Settings;
 use murmurate::localization::alignment::Alignment;
+use murmurate::localization::fix::Fix;
 use murmurate::localization::geodesy::{Geodetic, LocalFrame};
 use serde::Deserialize;
 
@@ -233,23 +234,6 @@ pub enum Position {
     Global,
 }
 
-/// Lowest quality of the autopilot's satellite fix with which a position gives a reading.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
-pub enum FixLeast {
-    /// A fix in three dimensions, without corrections.
-    #[serde(rename = "3d")]
-    ThreeD,
-    /// With corrections of codes.
-    #[serde(rename = "dgps")]
-    Dgps,
-    /// With corrections of carriers, ambiguities not resolved.
-    #[serde(rename = "rtk-float")]
-    RtkFloat,
-    /// With corrections of carriers, ambiguities resolved.
-    #[serde(rename = "rtk-fixed")]
-    RtkFixed,
-}
-
 /// Settings of the source `mavlink` as a table in a team file, not yet checked.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -270,7 +254,7 @@ struct SourceFields {
     origin_m: Option<[f64; 2]>,
     #[serde(default)]
     yaw_rad: f64,
-    fix_least: Option<FixLeast>,
+    fix_least: Option<Fix>,
     #[serde(default = "position_hz")]
     position_hz: u8,
 }
@@ -294,7 +278,7 @@ pub struct SourceConfig {
     /// Axes of the team's frame beside north and east.
     pub axes: Axes,
     /// Lowest quality of a satellite fix; `None` for robots that are not localized by satellites.
-    pub fix_least: Option<FixLeast>,
+    pub fix_least: Option<Fix>,
     /// Rate of positions and attitudes that the autopilot is asked for \[Hz\].
     pub position_hz: u8,
 }
@@ -326,7 +310,7 @@ impl SourceConfig {
             return Err(ConfigError::field("origin_m", why));
         }
         // Its error is smaller than the distance that the guard keeps between two robots.
-        let fix_least = fields.fix_least.or(origin.map(|_| FixLeast::RtkFixed));
+        let fix_least = fields.fix_least.or(origin.map(|_| Fix::RtkFixed));
         Ok(SourceConfig {
             link,
             position: fields.position,
@@ -406,7 +390,7 @@ mod tests {
         let address = "address = 'udpin://127.0.0.1:14560'\n";
         let origin = "origin_latitude_deg = 52.0\norigin_longitude_deg = 0.1\n";
         let earth = SourceConfig::read(&settings(&format!("{address}{origin}"))).expect("settings");
-        assert_eq!(earth.fix_least, Some(FixLeast::RtkFixed));
+        assert_eq!(earth.fix_least, Some(Fix::RtkFixed));
         for (more, part) in [
             ("position = 'global'", "origin_latitude_deg: it is missing"),
             ("origin_latitude_deg = 52.0", "origin_longitude_deg: it is missing"),

@@ -23,9 +23,9 @@ pub enum Link {
     Udp(Rc<UdpSocket>),
     /// Both directions of a serial line.
     Serial {
-        /// What is read of the line.
+        /// Bytes that are read from the line.
         reader: Rc<Receiver>,
-        /// What is written to the line.
+        /// Bytes that are written to the line.
         writer: Rc<OwnedFd>,
     },
 }

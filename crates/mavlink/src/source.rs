@@ -4,6 +4,7 @@
 use mavlink::dialects::common::{GPS_GLOBAL_ORIGIN_DATA, GpsFixType, MavMessage};
 use murmurate::config::ConfigError;
 use murmurate::edge::Settings;
+use murmurate::localization::fix::Fix;
 use murmurate::localization::geodesy::Geodetic;
 use murmurate::localization::plausibility::Quality;
 use murmurate::localization::{In, Out, Parts, Source};
@@ -15,7 +16,7 @@ use super::axes::NorthEast;
 use super::frames::{Found, Splitter, parse};
 use super::link::FromWorker;
 use super::orders;
-use super::settings::{AUTOPILOT, FixLeast, Position, SourceConfig};
+use super::settings::{AUTOPILOT, Position, SourceConfig};
 use super::telemetry::{Telemetry, local, place, velocity};
 use super::worker::Endpoint;
 
@@ -41,7 +42,7 @@ struct Autopilot {
     telemetry: Telemetry,
     splitter: Splitter,
     /// Quality of the autopilot's satellite fix, with its arrival; `None` before the first.
-    fix: Option<(Time, Option<FixLeast>)>,
+    fix: Option<(Time, Option<Fix>)>,
     /// Place of the autopilot's origin on the earth; `None` before it is told.
     origin: Option<Geodetic>,
 }
@@ -121,12 +122,12 @@ impl Autopilot {
 }
 
 /// Returns the quality of a satellite fix; `None` if it is none, or no measurement.
-fn fix(kind: GpsFixType) -> Option<FixLeast> {
+fn fix(kind: GpsFixType) -> Option<Fix> {
     match kind {
-        GpsFixType::GPS_FIX_TYPE_3D_FIX => Some(FixLeast::ThreeD),
-        GpsFixType::GPS_FIX_TYPE_DGPS | GpsFixType::GPS_FIX_TYPE_PPP => Some(FixLeast::Dgps),
-        GpsFixType::GPS_FIX_TYPE_RTK_FLOAT => Some(FixLeast::RtkFloat),
-        GpsFixType::GPS_FIX_TYPE_RTK_FIXED => Some(FixLeast::RtkFixed),
+        GpsFixType::GPS_FIX_TYPE_3D_FIX => Some(Fix::ThreeD),
+        GpsFixType::GPS_FIX_TYPE_DGPS | GpsFixType::GPS_FIX_TYPE_PPP => Some(Fix::Dgps),
+        GpsFixType::GPS_FIX_TYPE_RTK_FLOAT => Some(Fix::RtkFloat),
+        GpsFixType::GPS_FIX_TYPE_RTK_FIXED => Some(Fix::RtkFixed),
         _ => None,
     }
 }
@@ -158,10 +159,10 @@ impl Source for Autopilot {
 
     fn quality(&self, _: RobotId) -> Quality {
         let position_m = match self.config.fix_least.and(self.fix).and_then(|(_, fix)| fix) {
-            Some(FixLeast::ThreeD) => 3.0,
-            Some(FixLeast::Dgps) => 1.0,
-            Some(FixLeast::RtkFloat) => 0.3,
-            Some(FixLeast::RtkFixed) | None => Quality::MEASURED.position_m,
+            Some(Fix::ThreeD) => 3.0,
+            Some(Fix::Dgps) => 1.0,
+            Some(Fix::RtkFloat) => 0.3,
+            Some(Fix::RtkFixed) | None => Quality::MEASURED.position_m,
         };
         Quality { position_m, heading_rad: HEADING_RAD, ..Quality::MEASURED }
     }

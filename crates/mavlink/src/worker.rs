@@ -1,5 +1,5 @@
 //! Worker of the driver and of the source `mavlink`: an actor that has the link with one autopilot, by UDP or a serial
-//! line. It numbers and signs what is sent, checks what is received, and leaves out what nobody here reads.
+//! line. It numbers and signs what is sent, checks what is received, and leaves out what is not read here.
 //!
 //! When a motion's validity ends without a newer packet, it makes the vehicle stand for a second. After that, what the
 //! autopilot does without setpoints is better than what a host does whose control thread hangs.
@@ -46,7 +46,8 @@ const YEAR_2015_S: u64 = 1_420_070_400;
 pub struct Endpoint {
     /// Settings of the link.
     pub link: LinkSettings,
-    /// What is said to the autopilot by itself: a heartbeat, and requests. Empty for a driver, which says it.
+    /// Frames that are sent to the autopilot by themselves: a heartbeat, and requests. Empty for a driver, which says
+    /// it.
     pub reminders: Vec<MavMessage>,
 }
 

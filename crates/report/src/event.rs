@@ -43,8 +43,8 @@ pub enum HostEvent {
         /// Reason of the end.
         reason: AbortReason,
     },
-    /// Whom the host hears, over which last hops, and how it sends: once a second from a host with a mesh or a link
-    /// that chooses.
+    /// Hosts that the host hears, their last hops, and its way of sending: once a second from a host with a mesh or a
+    /// link that chooses.
     Heard(Heard),
     /// All counts of the host so far. They are reported once a second, and as the last event if the team has not
     /// finished.

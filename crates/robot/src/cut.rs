@@ -3,7 +3,7 @@
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
-use std::io::{BufRead, IsTerminal};
+use std::io::IsTerminal;
 use std::rc::Rc;
 use std::time::Instant;
 
@@ -16,7 +16,7 @@ use murmurate::registry::Registry;
 use murmurate::runtime::real::run_real;
 use murmurate::time::{Span, Time};
 
-use crate::output::{print, talk};
+use crate::output::{confirmed, print};
 use crate::team;
 use crate::{Ended, bad, own_name};
 
@@ -79,14 +79,13 @@ fn confirm(robots: &[RobotId]) -> Result<bool> {
     if !std::io::stdin().is_terminal() {
         return bad("it lets robots fall: confirm it by --yes, or on a terminal".to_owned());
     }
-    let numbers: Vec<String> = robots.iter().map(|robot| robot.0.to_string()).collect();
-    talk(&format!(
-        "the motors of robots {} will be off at once, and those in the air fall. Sure? [y/N]",
-        numbers.join(", ")
-    ));
-    let mut answer = String::new();
-    std::io::stdin().lock().read_line(&mut answer)?;
-    Ok(matches!(answer.trim(), "y" | "Y" | "yes"))
+    let numbers = list(robots.iter().map(|robot| robot.0));
+    Ok(confirmed(&format!("the motors of robots {numbers} will be off at once, and those in the air fall. Sure?"))?)
+}
+
+/// Returns the numbers of robots as text.
+fn list(robots: impl IntoIterator<Item = u16>) -> String {
+    robots.into_iter().map(|robot| robot.to_string()).collect::<Vec<_>>().join(", ")
 }
 
 /// Prints whose motors are off. Fails with the robots whose motors are not, and what may be the matter.
@@ -95,7 +94,6 @@ fn report(args: &Args, flights: &Flights) -> Result<Ended> {
     let of = |wanted: fn(&Option<Flight>) -> bool| -> Vec<u16> {
         flights.iter().filter(|(_, flight)| wanted(flight)).map(|(robot, _)| robot.0).collect()
     };
-    let list = |robots: &[u16]| robots.iter().map(u16::to_string).collect::<Vec<_>>().join(", ");
     let (silent, on) = (of(Option::is_none), of(|flight| flight.is_some_and(|flight| flight != Flight::Grounded)));
     if args.json {
         print(&serde_json::json!({ "robots": flights.len(), "on": on, "silent": silent }).to_string())?;
@@ -106,10 +104,10 @@ fn report(args: &Args, flights: &Flights) -> Result<Ended> {
     let mut why = Vec::new();
     if !on.is_empty() {
         let first = format!("is the team stopped? '{} stop' comes first", own_name());
-        why.push(format!("the motors of robot {} are on: {first}", list(&on)));
+        why.push(format!("the motors of robot {} are on: {first}", list(on)));
     }
     if !silent.is_empty() {
-        why.push(format!("no answer from robot {}: does its host run with this key?", list(&silent)));
+        why.push(format!("no answer from robot {}: does its host run with this key?", list(silent)));
     }
     if why.is_empty() { Ok(Ended::Done) } else { Err(anyhow!(why.join("; "))) }
 }

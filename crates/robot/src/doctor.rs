@@ -1,14 +1,14 @@
 //! The command `murmurate doctor`: checks whether this machine can be a host of a team, and prints findings and advice.
 //! The checks are in `checks`.
 
-use std::io::{BufRead, IsTerminal};
+use std::io::IsTerminal;
 
 use anyhow::{Context, Result};
 use murmurate::deploy::team::{Team, TeamFile};
 use murmurate::registry::Registry;
 
 use crate::checks::{Examination, examine, host_of};
-use crate::output::{print, talk};
+use crate::output::{confirmed, print, talk};
 use crate::{BadInput, Ended, team};
 
 /// Checks that this machine is fit to be one host of a team, and says what to do where it is not.
@@ -102,14 +102,11 @@ fn check_confirmable(yes: bool) -> Result<()> {
 /// answer is yes.
 fn confirm(team: &Team) -> Result<bool> {
     let robots: Vec<String> = host_of(team).actuates.iter().map(u16::to_string).collect();
-    talk(&format!(
-        "robots {} of host '{}' will drive 10 cm and back, one after the other. Is there room? [y/N]",
+    Ok(confirmed(&format!(
+        "robots {} of host '{}' will drive 10 cm and back, one after the other. Is there room?",
         robots.join(", "),
         host_of(team).name
-    ));
-    let mut answer = String::new();
-    std::io::stdin().lock().read_line(&mut answer)?;
-    Ok(matches!(answer.trim(), "y" | "Y" | "yes"))
+    ))?)
 }
 
 /// Returns the hosts that `doctor` checks this machine for: the one that a flag names, or all if the team stays on one

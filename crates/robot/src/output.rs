@@ -3,7 +3,7 @@
 use std::backtrace::{Backtrace, BacktraceStatus};
 use std::cell::RefCell;
 use std::fmt;
-use std::io::{self, ErrorKind, IsTerminal, Write};
+use std::io::{self, BufRead, ErrorKind, IsTerminal, Write};
 use std::path::Path;
 use std::path::{Component, PathBuf};
 use std::sync::OnceLock;
@@ -59,6 +59,15 @@ pub fn flush_log() {
 /// the message may come from outside.
 pub fn talk(text: &str) {
     write_stderr(printable(&redacted(text), Layout::Line).into_owned() + "\n");
+}
+
+/// Asks a question on the terminal, on stderr. Returns true if the answer is yes. The caller has checked that stdin is
+/// a terminal.
+pub fn confirmed(question: &str) -> io::Result<bool> {
+    talk(&format!("{question} [y/N]"));
+    let mut answer = String::new();
+    io::stdin().lock().read_line(&mut answer)?;
+    Ok(matches!(answer.trim(), "y" | "Y" | "yes"))
 }
 
 /// Prints text of several lines on stderr, in which only the line ends are this program's own. Otherwise like [`talk`].

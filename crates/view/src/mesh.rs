@@ -72,7 +72,7 @@ pub struct MeshStatus {
     pub lost: Vec<u16>,
     /// Names of hosts that pass nothing on, as their neighbours find.
     pub withholding: Vec<String>,
-    /// How the hosts send on links that choose.
+    /// Ways by which the hosts send on links that choose.
     pub sends: Vec<HostSends>,
 }
 
@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn a_state_server_that_hears_nobody_has_lost_all_and_old_reports_do_not_count() {
+    fn a_state_server_that_hears_no_host_has_lost_all_and_old_reports_do_not_count() {
         let (mut mesh, homes) = line();
         let alone = || Heard { direct: Vec::new(), ways: Ways { hops: Some(Vec::new()), ..Ways::default() } };
         assert!(mesh.take(at(0), HostId(0), alone(), &homes).is_empty(), "it has just begun");

@@ -224,8 +224,8 @@ pub struct PageStatus {
     pub killed: Vec<String>,
     /// Faults that a user of the page has put on links, by the link's name.
     pub impaired: BTreeMap<String, LinkImpairment>,
-    /// Whom robots hear directly, and over how many hops they are heard; null in a team without a mesh and without a
-    /// link that chooses.
+    /// Robots that robots hear directly, and the hops over which they are heard; null in a team without a mesh and
+    /// without a link that chooses.
     pub mesh: Option<MeshStatus>,
     /// Newest lines of the log.
     pub log: Vec<LogLine>,

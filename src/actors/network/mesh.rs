@@ -30,7 +30,7 @@ pub(super) struct Mesh {
     relay: Relay,
     /// Neighbours that pass nothing on, as the log has said.
     withholders: Vec<HostId>,
-    /// Whom each neighbour hears: its loss of 64, and when it has said so. Kept by operators alone.
+    /// Hosts that each neighbour hears: its loss of 64, and the time at which it said so. Kept by operators alone.
     overheard: BTreeMap<(HostId, HostId), (u8, Time)>,
 }
 

@@ -89,7 +89,7 @@ pub struct Ways {
     /// Last hop of the soft state of each other host that has come; `None` if no link of the host is a mesh.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hops: Option<Vec<LastHop>>,
-    /// Whom the neighbours hear directly. Only an operator asks for it; hosts report for themselves.
+    /// Hosts that the neighbours hear directly. Only an operator asks for it; hosts report for themselves.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub overheard: Vec<Overheard>,
     /// Decisions of the links that choose.
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn a_host_without_a_mesh_says_none_and_one_that_hears_nobody_an_empty_list() {
+    fn a_host_without_a_mesh_says_none_and_one_that_hears_no_host_an_empty_list() {
         let text = |ways: &Ways| serde_json::to_string(ways).expect("ways are JSON");
         assert_eq!(text(&Ways::default()), "{}");
         let alone = Ways { hops: Some(Vec::new()), ..Ways::default() };

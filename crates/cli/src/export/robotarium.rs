@@ -70,7 +70,7 @@ pub struct Args {
     out: PathBuf,
 }
 
-/// What the folder's program reads beside the weights. Lengths are in metres.
+/// Data that the folder's program reads beside the weights. Lengths are in metres.
 #[derive(Serialize)]
 struct Experiment<'a> {
     made_by: String,

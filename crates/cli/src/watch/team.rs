@@ -60,7 +60,7 @@ pub enum TeamEvent {
     Died(usize, String),
     /// The process of the host with this index is back; the text names it.
     Back(usize, String),
-    /// Whom the host with this index hears, and how it sends.
+    /// Report of the host with this index on the hosts that it hears, and on its way of sending.
     Heard(usize, Heard),
     /// The run is over.
     Over(Ending),

@@ -136,7 +136,7 @@ impl Airframe {
             self.at[k] += velocity * dt;
             self.estimate[k] += velocity * dt;
         }
-        // What its deck measures.
+        // Measurement of its deck.
         self.estimate[2] = self.at[2].max(0.0);
         self.land();
     }

@@ -18,6 +18,7 @@ use std::f64::consts::FRAC_PI_2;
 use murmurate::config::ConfigError;
 use murmurate::edge::Settings;
 use murmurate::edge::sender_clock::{Novelty, SenderClock};
+use murmurate::localization::fix::Fix;
 use murmurate::localization::plausibility::Quality;
 use murmurate::localization::{In, Out, Parts, Source};
 use murmurate::messages::geometry::{Deviation, MAX_SIZE, Pose, Twist, Vec2, wrapped};
@@ -28,7 +29,7 @@ use murmurate::time::{Span, Time};
 use murmurate::localization::geodesy::Geodetic;
 use places::Places;
 use receivers::Receivers;
-use report::{Att, Fix, GpsdReport, Gst, Kind, Malformed, Tpv};
+use report::{Att, GpsdReport, Gst, Kind, Malformed, Tpv};
 use settings::{Config, Heading};
 
 /// Description of the source `gpsd` in one line, for lists of all sources.
@@ -218,7 +219,7 @@ impl Gpsd {
                 return Err(Malformed("the receiver goes by dead reckoning alone, for longer than dead_reckoning_s"));
             }
             Kind::Satellites(fix) => fix,
-            Kind::WithDeadReckoning => Fix::of_error(deviation_m),
+            Kind::WithDeadReckoning => report::fix_of_error(deviation_m),
         };
         if fix < self.config.fix_least {
             return Err(Malformed("the receiver's fix is worse than fix_least; see its corrections and its sky"));

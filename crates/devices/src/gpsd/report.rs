@@ -2,6 +2,7 @@
 
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
+use murmurate::localization::fix::Fix;
 use serde::Deserialize;
 
 /// Reason for which a line of gpsd could not be decoded, or for which its fix gives no reading.
@@ -92,23 +93,6 @@ pub enum Kind {
     None,
 }
 
-/// Quality of a satellite position fix, in ascending order of accuracy.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
-pub enum Fix {
-    /// Fix in three dimensions without correction data.
-    #[serde(rename = "3d")]
-    ThreeD,
-    /// Fix with corrections of the code measurement: accurate to metres or decimetres.
-    #[serde(rename = "dgps")]
-    Dgps,
-    /// Fix with corrections of the carrier phase (RTK) whose ambiguities are not resolved: accurate to decimetres.
-    #[serde(rename = "rtk-float")]
-    RtkFloat,
-    /// Fix with corrections of the carrier phase (RTK) whose ambiguities are resolved: accurate to centimetres.
-    #[serde(rename = "rtk-fixed")]
-    RtkFixed,
-}
-
 /// Largest standard deviation of a position \[m\] with which a fix of an unknown kind counts as RTK fixed, RTK float
 /// and DGPS: accurate to centimetres, to decimetres, and to a metre or two.
 const ACCURATE_M: [(f64, Fix); 3] = [(0.05, Fix::RtkFixed), (0.5, Fix::RtkFloat), (2.0, Fix::Dgps)];
@@ -157,13 +141,11 @@ impl Kind {
     }
 }
 
-impl Fix {
-    /// Returns the quality of a fix of an unknown kind by the standard deviation of its position \[m\]; the lowest if
-    /// that is unknown.
-    pub(crate) fn of_error(deviation_m: Option<f64>) -> Fix {
-        let within = |(most_m, _): &&(f64, Fix)| deviation_m.is_some_and(|error_m| error_m <= *most_m);
-        ACCURATE_M.iter().find(within).map_or(Fix::ThreeD, |(_, fix)| *fix)
-    }
+/// Returns the quality of a fix of an unknown kind by the standard deviation of its position \[m\]; the lowest if
+/// that is unknown.
+pub(crate) fn fix_of_error(deviation_m: Option<f64>) -> Fix {
+    let within = |(most_m, _): &&(f64, Fix)| deviation_m.is_some_and(|error_m| error_m <= *most_m);
+    ACCURATE_M.iter().find(within).map_or(Fix::ThreeD, |(_, fix)| *fix)
 }
 
 /// Decodes one line of JSON from gpsd. Of a report of an unused class, only the class is examined. An error says why
@@ -304,7 +286,7 @@ mod tests {
         ] {
             assert_eq!(Kind::of(&Tpv { mode, status, ..tpv.clone() }), kind);
         }
-        let by_error = [Some(0.02), Some(0.3), Some(1.5), Some(9.0), None].map(Fix::of_error);
+        let by_error = [Some(0.02), Some(0.3), Some(1.5), Some(9.0), None].map(fix_of_error);
         assert_eq!(by_error, [Fix::RtkFixed, Fix::RtkFloat, Fix::Dgps, Fix::ThreeD, Fix::ThreeD]);
         assert!(Fix::RtkFixed > Fix::RtkFloat && Fix::RtkFloat > Fix::Dgps && Fix::Dgps > Fix::ThreeD);
     }

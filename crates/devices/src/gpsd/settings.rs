@@ -4,11 +4,10 @@ use murmurate::config::ConfigError;
 use murmurate::config::fields::FieldType;
 use murmurate::edge::Settings;
 use murmurate::localization::alignment::Alignment;
+use murmurate::localization::fix::Fix;
 use murmurate::localization::geodesy::{Geodetic, LocalFrame};
 use murmurate::time::Span;
 use serde::Deserialize;
-
-use super::report::Fix;
 
 /// Default TCP port of gpsd (registered with IANA).
 const PORT: u16 = 2947;

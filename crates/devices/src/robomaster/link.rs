@@ -2,19 +2,7 @@
 //! recorded and replayed.
 
 use murmurate::edge::Packet;
-use murmurate::time::Span;
-
-/// Time for which a robot's motion stays valid after a line (a command in the text protocol) is sent. When it ends, the
-/// worker stops the robot.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Hold {
-    /// The validity stays as before, because the line moves no wheel.
-    Keep,
-    /// The line makes the robot stand, so the validity has no end.
-    Standing,
-    /// The validity is this long, counted from the arrival of the packet at the worker.
-    For(Span),
-}
+pub use murmurate::edge::hold::Hold;
 
 /// Packet from the RoboMaster driver to its worker. The worker numbers its connections with the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,13 +41,7 @@ impl ToWorker<'_> {
         match self {
             ToWorker::Open => Box::new([b'O']),
             ToWorker::Write { connection, hold, line } => {
-                let hold = match hold {
-                    Hold::Keep => u64::MAX,
-                    Hold::Standing => 0,
-                    // Zero would mean standing.
-                    Hold::For(span) => span.as_nanos().clamp(1, u64::MAX - 1),
-                };
-                [b"W", &connection.to_le_bytes()[..], &hold.to_le_bytes(), line.as_bytes()].concat().into()
+                [b"W", &connection.to_le_bytes()[..], &hold.to_bytes(), line.as_bytes()].concat().into()
             }
         }
     }
@@ -71,11 +53,7 @@ impl ToWorker<'_> {
             [b'W', rest @ ..] => {
                 let (connection, rest) = rest.split_first_chunk()?;
                 let (hold, line) = rest.split_first_chunk()?;
-                let hold = match u64::from_le_bytes(*hold) {
-                    u64::MAX => Hold::Keep,
-                    0 => Hold::Standing,
-                    ns => Hold::For(Span::from_nanos(ns)),
-                };
+                let hold = Hold::from_bytes(*hold);
                 let line = std::str::from_utf8(line).ok()?;
                 Some(ToWorker::Write { connection: u32::from_le_bytes(*connection), hold, line })
             }
@@ -121,6 +99,7 @@ impl FromWorker<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use murmurate::time::Span;
 
     #[test]
     fn packets_are_read_back_and_cut_ones_are_refused() {

@@ -10,7 +10,7 @@ use super::super::orders;
 use super::Session;
 
 impl Session {
-    /// Carries out an order of the Body. A copter that somebody else flies is left to him, but for `Cut`.
+    /// Carries out an order of the Body. A copter that another flies is left to that pilot, but for `Cut`.
     pub(super) fn steer(&mut self, now: Time, order: Vertical, out: &mut Vec<Out>) {
         let Some(lift) = &mut self.lift else { return };
         match order {

@@ -16,7 +16,7 @@ const LOST_S: f64 = 2.0;
 /// Rate of states that is assumed where the deployment sets none \[1/s\]: that of the policies that are supplied.
 const STATES_HZ: f64 = 20.0;
 
-/// How a host of a mesh is heard.
+/// Way by which a host of a mesh is heard.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Reach {
     /// By its own datagrams.

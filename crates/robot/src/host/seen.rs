@@ -36,7 +36,8 @@ pub struct Seen {
     pub safety: RefCell<BTreeMap<RobotId, SafetyCounts>>,
     /// Condition of the hardware of each real robot that the host drives, as its driver reported it.
     pub hardware: RefCell<BTreeMap<RobotId, RobotHardware>>,
-    /// Whom the host hears and how it sends, as its Network said last; `None` without a mesh or a link that chooses.
+    /// Hosts that this host hears and its way of sending, as its Network said last; `None` without a mesh or a link
+    /// that chooses.
     pub heard: RefCell<Option<Heard>>,
     /// Outputs of the host: stdout, trajectories and service manager.
     pub outlets: Outlets,
