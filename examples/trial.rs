@@ -10,6 +10,7 @@ use murmurate::trial::Trial;
 
 fn print_report(what: &str, report: &TrialReport) {
     println!("{what}: {} of {} episodes succeeded", report.successes(), report.episodes.len());
+    println!("  trace {:032x}", report.totals.trace);
     for episode in &report.episodes {
         let makespan = episode.makespan_s.map_or("-".to_owned(), |makespan| format!("{makespan:.2} s"));
         println!("  episode {}: {:?}, makespan {makespan}", episode.episode, episode.verdict);
