@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::rig::{Flight, LINK, Rig, TEAM, heartbeat, key, latent, report};
+use crate::rig::{Flight, LINK, Rig, TEAM, config, heartbeat, key, latent, multicast, report};
 use murmurate::actors::network::{Config, Identity};
 use murmurate::messages::geometry::{Motion, Task};
 use murmurate::messages::ids::{HostId, RobotId};
@@ -124,6 +124,54 @@ fn soft_state_keeps_its_budget_and_works_in_teams_of_any_size() {
         });
         assert_eq!(least, pairs, "{hosts} hosts: none ceases to be accepted at 30 % loss");
     }
+}
+
+/// Returns how many link reports a team sends a second, all hosts together, and how many datagrams.
+fn reports_per_s(rig: &mut Rig, seconds: u64) -> (f64, f64) {
+    rig.sent.clear();
+    rig.run_ms(1000 * seconds);
+    let reports = rig.sent.iter().filter(|flight| report(&flight.frame, TAG_BYTES).is_some()).count();
+    (reports as f64 / seconds as f64, rig.sent.len() as f64 / seconds as f64)
+}
+
+#[test]
+fn a_larger_team_without_loss_reports_no_more_often_than_a_small_one_until_a_host_waits_for_it() {
+    for (hosts, most) in [(5u16, 20.5), (10, 20.5), (25, 20.5), (50, 34.0)] {
+        let mut rig = Rig::team(hosts, Reliabilities::new());
+        let pairs = usize::from(hosts) * usize::from(hosts - 1);
+        rig.run_ms(5000);
+        assert_eq!(accepted(&rig), pairs);
+        let (reports, datagrams) = reports_per_s(&mut rig, 40);
+        println!("{hosts} idle hosts: {reports} reports a second of {datagrams} datagrams");
+        assert!((0.8 * most..=most).contains(&reports), "{hosts} hosts: {reports} reports a second");
+        assert_eq!(accepted(&rig), pairs, "all stay accepted by reports alone");
+        let last = hosts - 1;
+        rig.restart(last.into(), config(last, hosts.into(), 2, Some(key()), multicast(Reliabilities::new())));
+        rig.run_ms(2000);
+        assert_eq!(accepted(&rig), pairs, "a host that was restarted is accepted by all");
+    }
+}
+
+#[test]
+fn in_a_larger_team_a_second_host_with_the_id_of_another_one_is_found_and_not_accepted() {
+    let hosts = 25u16;
+    let own = |host, incarnation| config(host, hosts.into(), incarnation, Some(key()), multicast(Reliabilities::new()));
+    let mut rig = Rig::new((0..hosts).map(|host| own(host, 1)).chain([own(hosts, 1)]));
+    rig.down = Some(usize::from(hosts));
+    rig.run_ms(8000);
+    rig.restart(hosts.into(), own(1, 2));
+    rig.down = None;
+    rig.run_ms(4000);
+    rig.delivered.iter_mut().for_each(Vec::clear);
+    rig.publish(1, latent(1, 7));
+    rig.publish(hosts.into(), latent(1, 8));
+    rig.run_ms(100);
+    for host in (0..usize::from(hosts)).filter(|host| *host != 1) {
+        let heard: Vec<&Wire> = rig.delivered[host].iter().map(|(_, message)| message).collect();
+        assert_eq!(heard, [&latent(1, 7)], "host {host} keeps the one that was there");
+    }
+    assert!(rig.duplicates[usize::from(hosts)].is_some(), "the second one is told to end");
+    assert_eq!(rig.duplicates[1], None, "and the first one is not");
 }
 
 /// Returns one of two hosts on an addressed link: host 0 sends readings to host 1 alone, and instructions to all.

@@ -12,7 +12,7 @@ use super::congestion::Congestion;
 use super::counts::LinkCounts;
 use super::duplicate_id::{DuplicateIds, refuse_another};
 use super::gaps::Gaps;
-use super::limits::{FRESH, PROOF_VALIDITY, REPORT_VALIDITY, SILENT, SILENT_WITHOUT_KEY};
+use super::limits::{FRESH, LOSS_TO_REPEAT, PROOF_VALIDITY, REPORT_VALIDITY, SILENT_WITHOUT_KEY};
 use super::offset::Offsets;
 use super::report::{DatagramId, Entry, REPORT_BYTES, Report, Stamps};
 use super::report_schedule::{Occasion, ReportSchedule};
@@ -70,6 +70,8 @@ pub struct LocalEnd {
     pub first_guest: HostId,
     /// Length of an entry in this host's link reports \[bytes\].
     pub entry_bytes: usize,
+    /// Whether hosts of a larger team report less often on this link.
+    pub slows: bool,
     /// Clock from which this host's link reports take their stamps.
     pub stamps: Stamps,
 }
@@ -98,6 +100,8 @@ pub struct Incoming {
     pub duplicate_ids: DuplicateIds,
     /// Whether the last datagram proved its sender's liveness.
     proved: bool,
+    /// Whether the last datagram or its report tells of a loss that other hosts are to know soon.
+    pub news: bool,
 }
 
 impl Incoming {
@@ -106,9 +110,8 @@ impl Incoming {
         let schedule = ReportSchedule::new(local.host, local.authenticated, local.entry_bytes);
         let duplicate_ids = DuplicateIds::new(local.link, local.host, local.incarnation);
         let (senders, candidates) = (Senders::new(local.first_guest), Candidates::new(local.first_guest));
-        let (gaps, congestion) = (Gaps::default(), Congestion::default());
-        let proved = false;
-        Incoming { local, rate, senders, candidates, gaps, schedule, congestion, duplicate_ids, proved }
+        let (gaps, congestion, proved, news) = (Gaps::default(), Congestion::default(), false, false);
+        Incoming { local, rate, senders, candidates, gaps, schedule, congestion, duplicate_ids, proved, news }
     }
 
     /// Decides whether to accept a datagram of this team whose tag was valid. `report` is the link report in the
@@ -155,6 +158,7 @@ impl Incoming {
             return Admission::Refused;
         }
         sender.heard(now);
+        self.news = ReportSchedule::has_news(sender);
         let Some(report) = report else { return Admission::New(Urgency::Regular) };
         let challenged = sender.challenged || (sender.listed.is_none() && sender.stamp.is_some());
         sender.stamped(now, report.stamp);
@@ -173,6 +177,7 @@ impl Incoming {
             }
             sender.challenged |= entry.challenge;
             sender.note_reported_loss(now, entry.lost);
+            self.news |= entry.lost >= LOSS_TO_REPEAT;
         }
         let report_due = !challenged && (sender.challenged || sender.listed.is_none());
         Admission::New(match report_due {
@@ -186,11 +191,6 @@ impl Incoming {
     /// stamp of this host.
     pub fn has_proved(&self) -> bool {
         self.proved
-    }
-
-    /// Lists the accepted incarnations of the host `host` in the next link report, even in an urgent one.
-    pub fn list_soon(&mut self, host: HostId) {
-        self.senders.iter_mut().filter(|((id, _), _)| *id == host).for_each(|(_, sender)| sender.challenged = true);
     }
 
     /// Checks on a link with a key that the sender's incarnation is accepted. Accepts it if the datagram proves its
@@ -272,19 +272,17 @@ impl Incoming {
         let id = (header.sender, header.incarnation);
         let mut sender = Sender::new(now, self.rate.as_ref());
         if let Some(current_id) = self.senders.other_incarnation((header.sender, header.incarnation)) {
-            let current = self.senders.get_mut(current_id).expect("it was found");
+            let current = self.senders.get(current_id).expect("it was found");
             if proof.age >= now.since(current.since) {
                 // The echoed stamp is older than the accepted incarnation, so the datagram is a recording.
                 counts.replay += 1;
                 return Err(Admission::Refused);
             }
-            if now.since(current.reported) < SILENT {
-                let duplicated = current.contest(now, header.incarnation);
-                refuse_another(header.sender, duplicated.then_some(current.duplicate_ids), counts);
-                self.candidates.note(now, header.sender, header.incarnation, report.stamp);
+            let duplicate_ids = current.duplicate_ids;
+            if self.keeps(now, current_id, header, report, counts) {
                 return Err(Admission::Refused);
             }
-            (sender.duplicate_ids, sender.predecessor) = (current.duplicate_ids, Some(current_id.1));
+            (sender.duplicate_ids, sender.predecessor) = (duplicate_ids, Some(current_id.1));
             self.senders.remove(current_id);
         } else if let Some(before) = self.senders.get(id) {
             (sender.duplicate_ids, sender.predecessor) = (before.duplicate_ids, before.predecessor);

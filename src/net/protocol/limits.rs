@@ -8,7 +8,8 @@ pub const FRESH: Span = Span::from_millis(2000);
 /// Time for which a host stays accepted after a liveness proof (echo of a recent stamp). In a team of 200, each round
 /// of reports takes 3 s, and at a loss of 30 % some reports that list this host do not arrive.
 pub const PROOF_VALIDITY: Span = Span::from_millis(15_000);
-/// Time after a sender's last link report during which its datagrams are accepted. Reports are sent every 250 ms.
+/// Time after a sender's last link report during which its datagrams are accepted. Reports are sent every 250 ms, and
+/// in larger teams without loss at least every 1.5 s.
 pub const REPORT_VALIDITY: Span = Span::from_millis(3000);
 /// On a link with a key: time without a link report after which a host is silent, so that another incarnation of it
 /// may be accepted.

@@ -123,6 +123,7 @@ impl LinkState {
             authenticated,
             first_guest,
             entry_bytes,
+            slows: setup.slows_reports(),
             stamps: Stamps::random(stream),
         };
         let mut state = LinkState {
@@ -237,6 +238,7 @@ impl LinkState {
             Admission::New(urgency) | Admission::Candidate(urgency) => self.outgoing.request_report(now, urgency),
             Admission::Duplicate | Admission::Refused => {}
         }
+        self.tell_news(verdict);
         let standing = match verdict {
             Admission::New(_) => Some(Standing::Accepted),
             Admission::Candidate(_) => Some(Standing::Candidate),
@@ -307,6 +309,7 @@ impl LinkState {
     /// Handles a datagram of another process that uses the id of this host: a second live one, or a recording.
     #[cold]
     fn note_duplicate_id(&mut self, now: Time, header: &Header, blocks: &ControlBlocks) {
+        self.outgoing.hasten_report();
         match (&self.key, &blocks.report) {
             (Some(_), Some(report)) => self.incoming.note_duplicate_id(now, header, report, &mut self.counts),
             (Some(_), None) => self.counts.unproven += 1,

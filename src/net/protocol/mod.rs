@@ -23,6 +23,7 @@ pub mod link;
 pub mod member;
 mod offset;
 pub(crate) mod outgoing;
+mod pace;
 pub mod parts;
 mod refusal;
 pub(crate) mod relay;

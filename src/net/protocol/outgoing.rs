@@ -23,8 +23,8 @@ use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Wire};
 use crate::time::{Span, Time};
 
-/// Longest time between two link reports of a host on a link; then the next one is sent, in a datagram of its own if
-/// need be.
+/// Longest time between two link reports of a host on a link, in a small team or while another host waits for one; then
+/// the next one is sent, in a datagram of its own if need be. Otherwise `pace` says how long it is.
 pub const REPORT_PERIOD: Span = Span::from_millis(250);
 /// Age of the last report from which on a report that another host waits for may be piggybacked.
 const PENDING_PIGGYBACK_AGE: Span = Span::from_millis(10);
@@ -56,7 +56,7 @@ pub struct Outgoing {
     /// For each set of receivers, the time at which data was last sent to it.
     data_sent: BTreeMap<Audience, Time>,
     pub(super) report_sent: Option<Time>,
-    report_due: Option<Time>,
+    pub(super) report_due: Option<Time>,
     /// Whether another host waits for a report.
     report_pending: bool,
     /// Whether the next report is due in a datagram of its own, even if others are appended to data before.
@@ -286,7 +286,7 @@ impl Outgoing {
             return true;
         }
         self.report_pending = false;
-        (self.report_sent, self.report_due) = (Some(now), Some(now + REPORT_PERIOD));
+        self.plan_report(now, incoming);
         let held = self.retransmitter.held(Audience::All);
         if !held.is_empty() && bytes.len() + BLOCK_BYTES + 4 * held.len() <= self.room {
             add(bytes, Content::Held, |bytes| write_held(&held, bytes));
@@ -301,6 +301,7 @@ impl Outgoing {
             return;
         }
         self.report_pending = true;
+        self.hasten_report();
         self.report_alone |= urgency == Urgency::OwnDatagram && self.setup.is_addressed();
         let eager = self.setup.report_piggyback_age == Span::ZERO;
         if eager || urgency == Urgency::Immediate {

@@ -161,6 +161,12 @@ impl Setup {
         self.piggyback != Piggyback::Any
     }
 
+    /// Returns whether hosts of a larger team report less often. A link that chooses has a budget of its own for
+    /// reports, and an emulated one reports as it always has.
+    pub(crate) fn slows_reports(&self) -> bool {
+        self.piggyback != Piggyback::Never && self.choosing == Choosing::Fixed
+    }
+
     /// Returns the reliability mode of messages of kind `kind` on this link.
     pub(crate) fn of(&self, kind: Kind) -> Reliability {
         self.reliability.get(&kind).copied().unwrap_or_default()

@@ -124,9 +124,18 @@ impl ReportSchedule {
         Entry { host, echo, held: now.since(at), lost, challenge: self.challenges(now, sender), direct: None }
     }
 
-    /// Whether to ask a sender for a liveness proof: after half of the validity of its last one.
-    fn challenges(&self, now: Time, sender: &Sender) -> bool {
-        self.authenticated && now.since(sender.proved) > Span::from_nanos(PROOF_VALIDITY.as_nanos() / 2)
+    /// Whether to ask a sender for a liveness proof: after half of the validity of its last one, or if another
+    /// incarnation of its host says that it has taken its place.
+    pub fn challenges(&self, now: Time, sender: &Sender) -> bool {
+        let aging = now.since(sender.proved) > Span::from_nanos(PROOF_VALIDITY.as_nanos() / 2);
+        self.authenticated && (aging || sender.has_rival(now))
+    }
+
+    /// Whether the loss of a sender differs so much from what was reported of it that the next report is to say so.
+    pub fn has_news(sender: &Sender) -> bool {
+        let (lost, reported) = (sender.lost(), sender.loss_sent);
+        let crosses = |bar: u8| (lost >= bar) != (reported >= bar);
+        crosses(LOSS_TO_REPEAT) || crosses(LOSS_TO_REPEAT_TWICE) || lost.abs_diff(reported) >= LOSS_STEP
     }
 
     fn class(&self, now: Time, sender: &Sender) -> u8 {
@@ -140,9 +149,6 @@ impl ReportSchedule {
         if self.challenges(now, sender) {
             return 1;
         }
-        let (lost, reported) = (sender.lost(), sender.loss_sent);
-        let crosses = |bar: u8| (lost >= bar) != (reported >= bar);
-        let changed = crosses(LOSS_TO_REPEAT) || crosses(LOSS_TO_REPEAT_TWICE) || lost.abs_diff(reported) >= LOSS_STEP;
-        if changed { 2 } else { 3 }
+        if ReportSchedule::has_news(sender) { 2 } else { 3 }
     }
 }

@@ -83,6 +83,9 @@ pub(crate) struct Sender {
     contested: Option<(u32, Time)>,
     /// Whether the sender and another incarnation of the same host were alive at the same time.
     is_duplicated: bool,
+    /// Another incarnation of the same host that has proved its liveness, and the times at which it did so first and
+    /// last; `None` if there is none, and in small teams.
+    rival: Option<(u32, Time, Time)>,
     heard: Option<Time>,
     spacing_s: f64,
     jitter_s: f64,
@@ -113,6 +116,7 @@ impl Sender {
             duplicate_ids: 0,
             contested: None,
             is_duplicated: false,
+            rival: None,
             heard: None,
             spacing_s: 0.0,
             jitter_s: 0.0,
@@ -147,8 +151,22 @@ impl Sender {
         self.is_duplicated
     }
 
-    /// The same on a link without a key, where nothing proves when a host was alive: both have to be heard for longer
-    /// than a datagram of a dead process can be in transit.
+    /// Records that `other`, another incarnation of the same host, proves its liveness at `now`. Returns since when it
+    /// does.
+    pub(crate) fn rivalled(&mut self, now: Time, other: u32) -> Time {
+        let known = self.rival.filter(|(rival, _, last)| *rival == other && now.since(*last) < FRESH);
+        let since = known.map_or(now, |(_, since, _)| since);
+        self.rival = Some((other, since, now));
+        since
+    }
+
+    /// Whether another incarnation of the same host has proved its liveness lately.
+    pub(crate) fn has_rival(&self, now: Time) -> bool {
+        self.rival.is_some_and(|(_, _, last)| now.since(last) < FRESH)
+    }
+
+    /// The same as `contest` on a link without a key, where nothing proves when a host was alive: both have to be heard
+    /// for longer than a datagram of a dead process can be in transit.
     pub(crate) fn contest_without_key(&mut self, now: Time, other: u32) -> bool {
         match self.contested {
             Some((before, since)) if before == other => self.is_duplicated |= now.since(since) > FRESH,

@@ -61,6 +61,11 @@ impl Senders {
         self.all.iter().map(|(id, sender)| (*id, &**sender))
     }
 
+    /// Returns the number of accepted senders.
+    pub fn len(&self) -> usize {
+        self.all.len()
+    }
+
     /// Whether any incarnation of this host is accepted.
     pub fn knows(&self, host: HostId) -> bool {
         self.all.range(ids(host, host)).next().is_some()
