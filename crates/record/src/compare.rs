@@ -5,7 +5,7 @@ use std::fmt;
 use super::Event;
 use super::reader::{Message, Messages, ReadError};
 use super::tape;
-use super::topics::{PROGRAM, Topic, Topics};
+use super::topics::{PROGRAM, Topic, Topics, WIFI};
 use murmurate::messages::wire::Wire;
 use murmurate::net::protocol::codec;
 
@@ -185,12 +185,12 @@ impl Comparison {
     }
 }
 
-/// Returns the next recorded message that a replay repeats, that is, every one but log lines; `None` at the end of the
-/// record.
+/// Returns the next recorded message that a replay repeats, that is, every one but log lines and samples of Wi-Fi; `None`
+/// at the end of the record.
 fn next(recorded: &mut Messages) -> Result<Option<Message>, ReadError> {
     loop {
         match recorded.next_message()? {
-            Some(message) if message.channel.topic == PROGRAM => {}
+            Some(message) if [PROGRAM, WIFI].contains(&&*message.channel.topic) => {}
             other => return Ok(other),
         }
     }

@@ -94,6 +94,9 @@ pub enum Event {
     Peers(HostId, Vec<Peer>, Box<Ways>),
     /// A line that the program has logged. Only in records of runs in real time.
     Logged(Logged),
+    /// State of one of the host's Wi-Fi cards: load of its channel, and the stations that it hears (`docs/record.md`).
+    /// Only in records of hosts.
+    Wifi(Box<serde_json::Value>),
     /// Request to keep the events of the last seconds, in a record that keeps events only around such requests.
     Keep,
     /// Number of events before this one that were dropped because the record's queue was full.

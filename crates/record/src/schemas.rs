@@ -57,6 +57,18 @@ pub const COUNTS: &str = r#"{"title":"murmurate.Counts","type":"object","propert
 "recording_dropped":{"type":"integer","description":"events before this one that the record lacks"}},
 "required":["host"]}"#;
 
+/// JSON schema of messages about a Wi-Fi card of a host, as the kernel tells it: mode, channel and its load, and the
+/// stations that it hears.
+pub const WIFI: &str = r#"{"title":"murmurate.Wifi","type":"object","properties":{
+"interface":{"type":"string"},"mode":{"type":"string","description":"as iw names it"},
+"frequency_mhz":{"type":["integer","null"]},"power_save":{"type":["boolean","null"]},
+"active_ms":{"type":["integer","null"],"description":"time on the channel"},
+"busy_ms":{"type":["integer","null"],"description":"time of it in which the channel was busy"},
+"peers":{"type":"array","items":{"type":"object","properties":{"address":{"type":"string"},
+"signal_dbm":{"type":["integer","null"]},"sent":{"type":"integer","description":"frames to it"},
+"retries":{"type":"integer"},"failed":{"type":"integer"},"rate_mbit_s":{"type":["number","null"]},
+"silent_ms":{"type":["integer","null"]}},"required":["address"]}}},"required":["interface","mode","peers"]}"#;
+
 /// JSON schema of messages about the condition of a real robot's hardware.
 pub const HARDWARE: &str = r#"{"title":"murmurate.Hardware","type":"object","properties":{
 "robot":{"type":"integer"},"health":{"type":"string","description":"ready, faulty or silent"},

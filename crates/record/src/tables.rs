@@ -1,11 +1,11 @@
-//! Tables of a record as rows of CSV: true states of simulated robots, links, and messages.
+//! Tables of a record as rows of CSV: true states of simulated robots, links, messages, and Wi-Fi cards.
 
 use serde_json::Value as Json;
 
 use super::identity::Identity;
 use super::reader::{Message, Messages, ReadError};
 use super::tape;
-use super::topics::name_of;
+use super::topics::{WIFI as WIFI_TOPIC, name_of};
 use super::truth::{self, TrueRobot};
 use murmurate::graph::inputs::Input;
 use murmurate::messages::wire::Wire;
@@ -20,6 +20,8 @@ pub enum Table {
     Links,
     /// Each datagram that was published, and in a host's record each that arrived.
     Messages,
+    /// The stations that the host's Wi-Fi cards hear, once a second, with the load of the channel.
+    Wifi,
 }
 
 impl Table {
@@ -29,6 +31,7 @@ impl Table {
             Table::Trajectories => TRAJECTORIES,
             Table::Links => LINKS,
             Table::Messages => MESSAGES,
+            Table::Wifi => WIFI,
         }
     }
 
@@ -38,6 +41,7 @@ impl Table {
             Table::Trajectories => "true states",
             Table::Links => "links",
             Table::Messages => "messages",
+            Table::Wifi => "Wi-Fi cards",
         }
     }
 }
@@ -73,6 +77,22 @@ const LINKS: &[&str] = &[
     "uncertainty_s",
 ];
 const MESSAGES: &[&str] = &["time_s", "event", "host", "link", "sender", "incarnation", "sequence", "kind", "bytes"];
+const WIFI: &[&str] = &[
+    "time_s",
+    "interface",
+    "mode",
+    "frequency_mhz",
+    "power_save",
+    "active_ms",
+    "busy_ms",
+    "peer",
+    "signal_dbm",
+    "sent",
+    "retries",
+    "failed",
+    "rate_mbit_s",
+    "silent_ms",
+];
 
 /// Function that is called with the cells of each row of a table.
 type Rows<'a> = dyn FnMut(&[String]) + 'a;
@@ -106,6 +126,7 @@ pub fn read(
             }
             "/truth" => rows_of(Table::Trajectories, &|row| truth(row, at_s, phase.as_ref(), &message.data)),
             "/links" => rows_of(Table::Links, &|row| peers(row, at_s, &message.data)),
+            WIFI_TOPIC => rows_of(Table::Wifi, &|row| stations(row, at_s, &message.data)),
             "/tape/turn" => {
                 if phase.is_none() {
                     let frames = tape::read(&message.data).into_iter().flat_map(|turn| turn.frames());
@@ -149,13 +170,29 @@ fn peers(row: &mut Rows, at_s: f64, data: &[u8]) {
     for peer in said["peers"].as_array().into_iter().flatten() {
         const FIELDS: [&str; 10] =
             ["link", "host", "epoch", "proven", "age_s", "loss", "passed", "missing", "round_trip_s", "uncertainty_s"];
-        let text = |value: &Json| match value {
-            Json::Null => String::new(),
-            Json::String(text) => text.clone(),
-            other => other.to_string(),
-        };
-        let cells = FIELDS.iter().map(|field| text(&peer[*field]));
+        let cells = FIELDS.iter().map(|field| cell(&peer[*field]));
         row(&[at_s.to_string(), host.to_owned()].into_iter().chain(cells).collect::<Vec<_>>());
+    }
+}
+
+/// Adds a row for each station that a card hears, or one without a station.
+fn stations(row: &mut Rows, at_s: f64, data: &[u8]) {
+    let said: Json = serde_json::from_slice(data).unwrap_or_default();
+    let card = WIFI[1..7].iter().map(|field| cell(&said[*field]));
+    let card: Vec<String> = [at_s.to_string()].into_iter().chain(card).collect();
+    let peers = said["peers"].as_array().map_or(&[][..], Vec::as_slice);
+    for peer in if peers.is_empty() { &[Json::Null] } else { peers } {
+        let fields = ["address"].iter().chain(&WIFI[8..]);
+        row(&card.iter().cloned().chain(fields.map(|field| cell(&peer[*field]))).collect::<Vec<_>>());
+    }
+}
+
+/// Returns the text of a value in a cell; nothing for none.
+fn cell(value: &Json) -> String {
+    match value {
+        Json::Null => String::new(),
+        Json::String(text) => text.clone(),
+        other => other.to_string(),
     }
 }
 
@@ -206,10 +243,16 @@ mod tests {
         super::truth(&mut row, 1.5, Some(&phase), &data);
         peers(&mut row, 2.0, br#"{"host": "a", "peers": [{"link": 0, "host": 1, "loss": 0.25}]}"#);
         datagram(&mut row, ["2", "arrived", "a", "0"].map(str::to_owned), b"x");
+        stations(&mut row, 3.0, br#"{"interface": "wlan0", "mode": "IBSS", "busy_ms": 5, "peers": []}"#);
+        stations(&mut row, 3.0, br#"{"interface": "wlan0", "peers": [{"address": "02:00", "signal_dbm": -52}]}"#);
         assert!(rows[0].starts_with("4,running,1.5,3,0.5,0,"), "{}", rows[0]);
         assert_eq!(rows[1], "2,a,0,1,,,,0.25,,,,");
         assert_eq!(rows[2], "2,arrived,a,0,,,,junk,1");
-        for (row, table) in rows.iter().zip([Table::Trajectories, Table::Links, Table::Messages]) {
+        assert_eq!(rows[3], "3,wlan0,IBSS,,,,5,,,,,,,");
+        assert_eq!(rows[4], "3,wlan0,,,,,,02:00,-52,,,,,");
+        let tables = [Table::Trajectories, Table::Links, Table::Messages, Table::Wifi, Table::Wifi];
+        assert_eq!(rows.len(), tables.len());
+        for (row, table) in rows.iter().zip(tables) {
             assert_eq!(row.split(',').count(), table.header().len(), "{row}");
         }
     }

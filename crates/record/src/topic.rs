@@ -9,6 +9,8 @@ use murmurate::messages::ids::{HostId, RobotId};
 
 /// Name of the topic with the lines that the program has logged.
 pub const PROGRAM: &str = "/log/program";
+/// Name of the topic with the state of the host's Wi-Fi cards.
+pub const WIFI: &str = "/wifi";
 /// Name of the topic with the messages that an operator has received.
 pub const RECEIVED: &str = "/received";
 /// Name of the topic with the receipts of an imported run's messages.
@@ -51,6 +53,8 @@ pub enum Topic {
     Counts,
     /// Condition of real robots' hardware.
     Hardware,
+    /// State of the host's Wi-Fi cards. A replay does not repeat it.
+    Wifi,
     /// Messages between robots, with the times of sending and arrival. Only in imported records.
     Receipts,
 }
@@ -86,6 +90,7 @@ impl Topic {
             Topic::Memory => "/memory".to_owned(),
             Topic::Counts => "/counts".to_owned(),
             Topic::Hardware => "/hardware".to_owned(),
+            Topic::Wifi => WIFI.to_owned(),
             Topic::Receipts => RECEIPTS.to_owned(),
         }
     }
@@ -97,7 +102,7 @@ impl Topic {
             Topic::Turn => "murmurate-turn-1",
             Topic::Wire(_) | Topic::Received => "murmurate-datagram",
             Topic::Episode | Topic::Links | Topic::Guard | Topic::Memory => "json",
-            Topic::Counts | Topic::Hardware | Topic::Receipts => "json",
+            Topic::Counts | Topic::Hardware | Topic::Wifi | Topic::Receipts => "json",
             _ => "protobuf",
         }
     }
@@ -124,6 +129,7 @@ impl Topic {
             Topic::Memory => json("Memory", schemas::MEMORY),
             Topic::Counts => json("Counts", schemas::COUNTS),
             Topic::Hardware => json("Hardware", schemas::HARDWARE),
+            Topic::Wifi => json("Wifi", schemas::WIFI),
             Topic::Receipts => json("Receipt", schemas::RECEIPT),
         })
     }

@@ -12,7 +12,7 @@ pub use super::drawing::Body;
 use super::foxglove::{self, Severity};
 pub use super::stage::Stage;
 use super::tape::{self, SentDigest};
-pub use super::topic::{PROGRAM, RECEIPTS, RECEIVED, Topic};
+pub use super::topic::{PROGRAM, RECEIPTS, RECEIVED, Topic, WIFI};
 use super::truth::{TrueRobot, Truth as TruthMessage};
 use super::{Event, Logged, Scope, drawing};
 use murmurate::messages::geometry::Vec2;
@@ -173,6 +173,7 @@ impl Topics {
             Event::Peers(host, peers, ways) => {
                 json_to(Topic::Links, at, &links(self.host(*host), peers, ways), take);
             }
+            Event::Wifi(sample) => json_to(Topic::Wifi, at, sample, take),
             Event::Dropped(count) => {
                 json_to(Topic::Counts, at, &json!({ "host": "", "recording_dropped": count }), take);
                 self.log_line(

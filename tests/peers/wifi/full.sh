@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# What `murmurate doctor` says of Wi-Fi, held against Linux itself: a Debian kernel with simulated cards (mac80211_hwsim)
+# What `murmurate doctor` says of Wi-Fi, and what a record has of it, held against Linux itself: a Debian kernel with simulated cards (mac80211_hwsim)
 # in a virtual machine, and what `iw` says there.
 #
 #   bash tests/peers/wifi/full.sh target/release/murmurate       1 minute; needs qemu-system-x86, busybox-static, iw,
@@ -19,7 +19,7 @@ modules=$(echo kernel/lib/modules/*/kernel)
 
 rm -rf root && mkdir -p root/{bin,proc,sys,dev,tmp,run,etc,usr/sbin,modules}
 cp "$(command -v busybox)" root/bin/
-for tool in sh mount insmod sleep ping poweroff su mkdir cat grep sed chown tr; do ln -s busybox root/bin/$tool; done
+for tool in sh mount insmod sleep ping poweroff su mkdir cat grep sed chown tr timeout; do ln -s busybox root/bin/$tool; done
 order=(drivers/virtio/virtio_ring drivers/virtio/virtio lib/crypto/libarc4 net/rfkill/rfkill net/wireless/cfg80211
     net/mac80211/mac80211 drivers/net/wireless/mac80211_hwsim)
 for module in "${order[@]}"; do cp "$modules/$module.ko" root/modules/; done
@@ -57,6 +57,10 @@ says() { # PART TEXT...: refuses a part of the output that lacks a text
 says 'no network' 'managed, on no channel' 'ip link set wlan0 down && iw dev wlan0 set type ibss && ip link set wlan0 up && iw dev wlan0 ibss join NAME'
 says 'power saving' 'frames wait until the card wakes' 'iw dev wlan0 set power_save off'
 says 'ad hoc' "IBSS of 'team' at 2412 MHz" '"found":"off"' 'set mcast_rate 24' '1 heard, the weakest 02:00:00:00:01:00'
+says 'samples' 'time_s,interface,mode,frequency_mhz' ',wlan0,IBSS,2412,' ',02:00:00:00:01:00,-'
+if [ "$(sed -n '/^== samples$/,/^== /p' said.txt | grep -c ',wlan0,')" -lt 4 ]; then
+    echo 'fewer than four samples in six seconds' >&2 && exit 1
+fi
 says 'as nobody' "IBSS of 'team' at 2412 MHz" '1 heard' '"fit":true'
 says 'mesh point' 'mesh point at 2412 MHz' 'set mesh_param mesh_fwding 0'
 says 'mesh point that does not forward' 'mesh point at 2412 MHz'

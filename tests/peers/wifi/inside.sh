@@ -30,6 +30,10 @@ sleep 2
 ping -c 3 -i 0.2 10.5.0.2 >/dev/null
 echo '== ad hoc'
 doctor
+echo '== samples'
+timeout -s INT 6 murmurate host /team.toml --host robot-0 --record /tmp/record >/dev/null 2>/tmp/said || cat /tmp/said
+murmurate record export /tmp/record/*.mcap --wifi /tmp/wifi.csv
+cat /tmp/wifi.csv
 chown 65534 /run/team.key
 echo '== as nobody'
 su nobody -s /bin/sh -c 'murmurate doctor /team.toml --host robot-0 --listen 0 --json'

@@ -27,6 +27,9 @@ pub struct Args {
     /// CSV file for messages: each datagram that was published, and in a host's record each that arrived
     #[arg(long, value_name = "FILE.csv")]
     messages: Option<PathBuf>,
+    /// CSV file for the host's Wi-Fi cards: load of the channel and the stations that each hears, once a second
+    #[arg(long, value_name = "FILE.csv")]
+    wifi: Option<PathBuf>,
 }
 
 /// Number of bytes of a table that are written at once.
@@ -67,12 +70,16 @@ impl TableFile {
     }
 }
 
-/// Runs `record export`: reads a record and writes the requested CSV tables of trajectories, links and messages.
+/// Runs `record export`: reads a record and writes the requested CSV tables.
 pub fn run(args: &Args) -> Result<Ended> {
-    let named =
-        [(&args.trajectories, Table::Trajectories), (&args.links, Table::Links), (&args.messages, Table::Messages)];
+    let named = [
+        (&args.trajectories, Table::Trajectories),
+        (&args.links, Table::Links),
+        (&args.messages, Table::Messages),
+        (&args.wifi, Table::Wifi),
+    ];
     if named.iter().all(|(path, _)| path.is_none()) {
-        return bad("name what to export: --trajectories, --links or --messages".to_owned());
+        return bad("name what to export: --trajectories, --links, --messages or --wifi".to_owned());
     }
     let opened = reader::messages(&args.record).map_err(|error| BadInput(error.to_string()))?;
     let (identity, messages) = opened;

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use anyhow::Result;
 use data_encoding::HEXLOWER;
 
+use super::wifi::Samples;
 use super::{RecordFlags, arguments, attach, log, make};
 use murmurate::deploy::team::Team;
 use murmurate::graph::event;
@@ -37,6 +38,8 @@ pub struct LiveRecord {
     recording: Cell<Option<Recording>>,
     inlet: Rc<Inlet>,
     failed: Cell<bool>,
+    /// Sampler of the host's Wi-Fi cards; `None` without one.
+    samples: Option<Samples>,
 }
 
 impl LiveRecord {
@@ -65,7 +68,11 @@ impl LiveRecord {
         identity.host =
             Some(HostIdentity { name, id: team.host, incarnation, seed, transports, keyed, signed, roster });
         let beginning = Beginning { identity, attached: attach(files)? };
-        let record = LiveRecord::start((folder, &file), Scope::Host, (beginning, Stage::of(live.trial())), retention)?;
+        let stage = Stage::of(live.trial());
+        let mut record = LiveRecord::start((folder, &file), Scope::Host, (beginning, stage), retention)?;
+        let places = team.links.iter().flatten();
+        let interfaces = places.filter_map(|place| place.endpoint.interface().map(str::to_owned)).collect();
+        record.samples = Samples::start(interfaces, murmurate_wifi::look);
         let trial = live.trial();
         let heard: f64 = trial.budgets().iter().map(|budget| budget.needs_bit_s / 8.0).sum();
         // A worker's answers have all floats of its robots' messages.
@@ -107,7 +114,7 @@ impl LiveRecord {
         let recording = Recording::start(&path, &beginning, topics, (WhenFull::Drop, retention))?;
         let inlet = recording.inlet();
         log::collect(true);
-        Ok(LiveRecord { scope, recording: Cell::new(Some(recording)), inlet, failed: Cell::new(false) })
+        Ok(LiveRecord { scope, recording: Cell::new(Some(recording)), inlet, failed: Cell::new(false), samples: None })
     }
 
     /// Adds an event of the host `host` to the record. It belongs to the current turn of the event loop.
@@ -124,10 +131,11 @@ impl LiveRecord {
     }
 
     /// Marks the end of a turn of the event loop (one pass over all pending inputs), at the time `now`, in the record.
-    /// Adds the lines that the program has logged since the last turn. `steps` is the number of things that the host's
+    /// Adds the lines that the program has logged since the last turn, and the samples of Wi-Fi. `steps` is the number of things that the host's
     /// actors have done so far; `None` if it is not known.
     pub fn turn(&self, now: Time, steps: Option<u64>) {
         log::take(|line| self.inlet.push(Event::Logged(line)));
+        self.samples.iter().for_each(|samples| samples.take(|sample| self.inlet.push(Event::Wifi(Box::new(sample)))));
         match steps {
             Some(steps) => self.inlet.turn_of(now, steps),
             None => self.inlet.turn(now),

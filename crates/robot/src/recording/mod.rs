@@ -3,6 +3,7 @@
 
 mod live;
 pub mod log;
+mod wifi;
 
 pub use self::live::LiveRecord;
 
