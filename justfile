@@ -155,6 +155,13 @@ full-metrics:
     cargo build --release
     bash tests/peers/metrics/full.sh target/release/murmurate
 
+# The layouts of packaging/foxglove beside records and a live connection, by Foxglove's SDK of Python (a minute, network)
+full-foxglove:
+    python3 -m venv target/foxglove
+    target/foxglove/bin/pip install --quiet mcap mcap-protobuf-support foxglove-sdk websockets
+    cargo build --locked --release
+    target/foxglove/bin/python tests/peers/foxglove/check.py target/release/murmurate
+
 # The Python package, as a user installs it, with TorchRL, BenchMARL, PyTorch Geometric, RLlib, Stable-Baselines3 and SuperSuit, and
 # its rates; an absent package is a failure (30 minutes and 8 GB, most of it torch)
 full-python:
