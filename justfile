@@ -150,10 +150,12 @@ full-damage:
 full-record-junk:
     MURMURATE_RECORD_JUNK="20000 4" cargo test --release --test record -- junk:: --nocapture
 
-# Metrics against a real Prometheus, with every query of the Grafana dashboard (a minute, apt: prometheus curl)
+# Metrics against a real Prometheus, with every query of the Grafana dashboard; the alert rules by promtool, and by a host that is
+# killed and a stop (two minutes, apt: prometheus curl)
 full-metrics:
     cargo build --release
     bash tests/peers/metrics/full.sh target/release/murmurate
+    bash tests/peers/metrics/alerts.sh target/release/murmurate
 
 # The layouts of packaging/foxglove beside records and a live connection, by Foxglove's SDK of Python (a minute, network)
 full-foxglove:
