@@ -157,6 +157,21 @@ full-metrics:
     bash tests/peers/metrics/full.sh target/release/murmurate
     bash tests/peers/metrics/alerts.sh target/release/murmurate
 
+# The site of these pages in target/site, with search and the pages of all interfaces: target/site/index.html (10 minutes, most of it
+# rustdoc; cargo install --locked mdbook). PYTHON has the wheel, pdoc and nbconvert; with its optional packages, their modules too
+site python="python3":
+    cargo doc --locked --no-deps --lib
+    {{python}} packaging/site/build.py target/site --rust target/doc --python
+
+# The site, built anew; all links and anchors in it; 22 terms by its search, each page at the width of a phone, and pictures of it in
+# target/site-pictures, in a real browser (20 minutes, network, apt: chromium-headless-shell)
+full-site:
+    python3 -m venv target/site-python
+    target/site-python/bin/pip install --quiet pdoc nbconvert playwright gymnasium pettingzoo ./python
+    just site target/site-python/bin/python
+    target/site-python/bin/python packaging/site/links.py target/site
+    target/site-python/bin/python packaging/site/browser.py target/site target/site-pictures
+
 # The layouts of packaging/foxglove beside records and a live connection, by Foxglove's SDK of Python (a minute, network)
 full-foxglove:
     python3 -m venv target/foxglove
