@@ -57,6 +57,11 @@ def shown(name):
     return b"\0" not in path.read_bytes()[:4096]
 
 
+def placed(target):
+    """Returns a link to a page as the site has it: mdBook names a README so, and changes links to other pages alone."""
+    return re.sub(r"README\.md(?=#|$)", "index.html", target)
+
+
 class Stage:
     """The folder from which mdBook builds: the pages where they are in the repository, and a page for each file they name."""
 
@@ -65,6 +70,8 @@ class Stage:
         self.pages = set(pages)
         # Paths of files and folders of the repository, in the order in which pages name them, and the pages that show them.
         self.files = {}
+        # Pages that are not in the list, such as that of an example; others name them.
+        self.further = []
 
     def page(self, name):
         """Copies a page; its links to files of the repository become links to pages that show these files."""
@@ -77,9 +84,12 @@ class Stage:
         if "://" in target or target.startswith("mailto:") or not path:
             return target
         name = os.path.normpath(os.path.join(os.path.dirname(page), path))
+        if name.endswith(".md") and name not in self.pages and name != "docs/README.md" and (ROOT / name).is_file():
+            self.pages.add(name)
+            self.further.append(name)
+            self.page(name)
         if name in self.pages:
-            # mdBook names these so, and changes links to other pages alone.
-            return re.sub(r"README\.md(?=#|$)", "index.html", target)
+            return placed(target)
         if name.endswith((".svg", ".png")):
             self.copy(name)
             return target
@@ -105,10 +115,10 @@ class Stage:
             if (ROOT / name).is_dir():
                 listed = tracked(name)
                 for file in listed:
-                    if not file.endswith(".md") or file not in self.pages:
+                    if file not in self.pages:
                         self.files.setdefault(file, f"{file}.md")
                 here = self.files[name]
-                items = [(file, file if file in self.pages else self.files[file]) for file in listed]
+                items = [(file, placed(file) if file in self.pages else self.files[file]) for file in listed]
                 lines = [f"- [`{file}`]({os.path.relpath(page, os.path.dirname(here))})" for file, page in items]
                 self.write(here, f"# {name}/\n\nFiles of this folder of the repository.\n\n" + "\n".join(lines) + "\n")
         for name, page in self.files.items():
@@ -171,13 +181,14 @@ def importable():
     return found
 
 
-def summary(parts, files):
+def summary(parts, stage):
     """Returns mdBook's list of pages."""
     lines = ["# Summary", "", "[Murmurate](README.md)", ""]
     for title, pages in parts:
         lines += [f"# {title}", "", *(f"- [{name}]({path})" for name, path in pages), ""]
     lines += ["# Interfaces and files", "", "- [Interfaces of Rust and Python](api.md)", "- [Files that pages show](files.md)"]
-    lines += [f"    - [{name}]({page})" for name, page in sorted(files.items())]
+    shown = [*stage.files.items(), *((name, name) for name in stage.further)]
+    lines += [f"    - [{name}]({page})" for name, page in sorted(shown)]
     return "\n".join(lines) + "\n"
 
 
@@ -210,7 +221,7 @@ def main():
         python = importable() if args.python else None
         stage.write("api.md", interfaces(args.rust, python))
         stage.write("files.md", "# Files that pages show\n\nThey are in the repository at the paths of their titles.\n")
-        stage.write("SUMMARY.md", summary(parts, stage.files))
+        stage.write("SUMMARY.md", summary(parts, stage))
         book(stage, work)
         subprocess.run([args.mdbook, "build", str(work)], check=True)
         if args.out.exists():
