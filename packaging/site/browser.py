@@ -1,9 +1,9 @@
-"""Looks at the built site in a real browser: search, every page at the width of a phone, and pictures of pages to look at.
+"""Looks at the built site in a real browser: search, every page at the width of a phone, and pictures to look at.
 
     browser.py SITE PICTURES
 
-Needs playwright of PyPI and a Chromium (CHROMIUM, or Debian's chromium-headless-shell). Pictures of the pages in SEEN, at the
-width of a phone and of a desk, light and dark, are put into the folder PICTURES.
+Needs playwright of PyPI and a Chromium (CHROMIUM, or Debian's chromium-headless-shell). Pictures of the pages in SEEN, at
+the width of a phone and of a desk, light and dark, are put into the folder PICTURES.
 """
 
 import os
@@ -78,7 +78,11 @@ def searched(page, base):
         found = results.evaluate_all("all => all.map(a => new URL(a.href).pathname.slice(1))")
         pages = list(dict.fromkeys(found))
         place = pages.index(wanted) + 1 if wanted in pages else 0
-        print(f"search: {term!r} finds {wanted} as page {place} of {len(pages)}" if place else f"search: {term!r} misses {wanted}")
+        print(
+            f"search: {term!r} finds {wanted} as page {place} of {len(pages)}"
+            if place
+            else f"search: {term!r} misses {wanted}"
+        )
         if not 0 < place <= FIRST:
             missed.append(f"{term!r} does not find {wanted}: {pages[:FIRST]}")
     return missed

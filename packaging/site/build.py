@@ -1,9 +1,9 @@
-"""Builds the site: all pages in the order of docs/README.md, the files that they show, notebooks, and pages of the interfaces.
+"""Builds the site: all pages in the order of docs/README.md, the files that they show, notebooks, and interfaces.
 
     build.py OUT [--mdbook PROGRAM] [--rust FOLDER] [--python]
 
-OUT is replaced. `--rust` is what `cargo doc` has made, `--python` makes the pages of the Python package, which has to be
-installed beside pdoc, and those of the notebooks, by nbconvert. Without them the site says that they are not in it.
+OUT is replaced. `--rust` is what `cargo doc` has made, `--python` makes the pages of the Python package, which has to
+be installed beside pdoc, and those of the notebooks, by nbconvert. Without them the site says that they are not in it.
 """
 
 import argparse
@@ -22,7 +22,15 @@ ROOT = Path(__file__).resolve().parents[2]
 HERE = Path(__file__).resolve().parent
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 ENTRY = re.compile(r"^- \[(.+)\]\((.+)\)$")
-LANGUAGES = {".py": "python", ".rs": "rust", ".toml": "toml", ".json": "json", ".yml": "yaml", ".service": "ini", ".sh": "sh"}
+LANGUAGES = {
+    ".py": "python",
+    ".rs": "rust",
+    ".toml": "toml",
+    ".json": "json",
+    ".yml": "yaml",
+    ".service": "ini",
+    ".sh": "sh",
+}
 # A file that is larger is no reading matter [bytes].
 LARGEST = 200_000
 PYTHON = ["murmurate"] + [
@@ -63,12 +71,12 @@ def placed(target):
 
 
 class Stage:
-    """The folder from which mdBook builds: the pages where they are in the repository, and a page for each file they name."""
+    """The folder from which mdBook builds: pages where they are in the repository, and a page for each file they name."""
 
     def __init__(self, folder, pages):
         self.folder = folder
         self.pages = set(pages)
-        # Paths of files and folders of the repository, in the order in which pages name them, and the pages that show them.
+        # Files and folders of the repository, in the order in which pages name them, and the pages that show them.
         self.files = {}
         # Pages that are not in the list, such as that of an example; others name them.
         self.further = []
@@ -186,7 +194,12 @@ def summary(parts, stage):
     lines = ["# Summary", "", "[Murmurate](README.md)", ""]
     for title, pages in parts:
         lines += [f"# {title}", "", *(f"- [{name}]({path})" for name, path in pages), ""]
-    lines += ["# Interfaces and files", "", "- [Interfaces of Rust and Python](api.md)", "- [Files that pages show](files.md)"]
+    lines += [
+        "# Interfaces and files",
+        "",
+        "- [Interfaces of Rust and Python](api.md)",
+        "- [Files that pages show](files.md)",
+    ]
     shown = [*stage.files.items(), *((name, name) for name in stage.further)]
     lines += [f"    - [{name}]({page})" for name, page in sorted(shown)]
     return "\n".join(lines) + "\n"
@@ -230,7 +243,15 @@ def main():
     if args.rust is not None:
         shutil.copytree(args.rust, args.out / "api/rust")
     if python:
-        made = [sys.executable, "-m", "pdoc", "--docformat", "google", "--output-directory", str(args.out / "api/python")]
+        made = [
+            sys.executable,
+            "-m",
+            "pdoc",
+            "--docformat",
+            "google",
+            "--output-directory",
+            str(args.out / "api/python"),
+        ]
         subprocess.run([*made, *python], check=True)
     print(f"{args.out}: {len(pages)} pages, {len(stage.files)} files and folders")
 

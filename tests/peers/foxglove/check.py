@@ -1,9 +1,9 @@
-"""Holds the layouts of packaging/foxglove against a record of a simulation, records of a real team, and a live connection.
+"""Holds the layouts of packaging/foxglove against records of a simulation and of a team, and a live connection.
 
     check.py PROGRAM
 
-Each topic and each message path that a layout names must find a value of a kind that its panel shows, in messages that this
-program wrote. The fields of each panel must be those of Foxglove's own `foxglove.layouts`. Needs mcap,
+Each topic and each message path that a layout names must find a value of a kind that its panel shows, in messages that
+this program wrote. The fields of each panel must be those of Foxglove's own `foxglove.layouts`. Needs mcap,
 mcap-protobuf-support, foxglove-sdk and websockets of PyPI.
 """
 
@@ -104,7 +104,7 @@ def wanted(config):
 
 
 def check(name, schemas, messages, frames):
-    """Checks the layout `name` against messages by topic, the names of their schemas, and the frames of what is drawn."""
+    """Checks a layout against messages by topic, the names of their schemas, and the frames of what is drawn."""
     layout = json.loads((ROOT / f"packaging/foxglove/{name}.json").read_text())
     shape(name, layout)
     for panel, config in layout["configById"].items():
@@ -175,7 +175,19 @@ def connection(address, seconds):
 def main():
     program = sys.argv[1]
     with tempfile.TemporaryDirectory() as work:
-        run = [program, "sim", "--mode", "offboard", "--episodes", "2", "--repeats", "1", "--quiet", "--record", f"{work}/sim"]
+        run = [
+            program,
+            "sim",
+            "--mode",
+            "offboard",
+            "--episodes",
+            "2",
+            "--repeats",
+            "1",
+            "--quiet",
+            "--record",
+            f"{work}/sim",
+        ]
         subprocess.run(run, check=True, stdout=subprocess.DEVNULL)
         team = [program, "launch", str(ROOT / "teams/offboard.toml"), "--set", "episodes=1", "--set", "team=4713"]
         subprocess.run([*team, "--record", f"{work}/team"], check=True, stdout=subprocess.DEVNULL)

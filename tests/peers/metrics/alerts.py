@@ -1,6 +1,6 @@
-"""Waits for a Prometheus that scrapes a team of six hosts; kills one of them, then stops the team, and waits for both alerts.
+"""Kills one of six hosts that a Prometheus scrapes, then stops the team, and waits for the alerts of both.
 
-    alerts.py PROMETHEUS PID STOP...
+alerts.py PROMETHEUS PID STOP...
 """
 
 import json

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Alert rules against promtool, and against a real Prometheus with a team of six hosts, of which one is killed and which is then
-# stopped. `alerts.sh PROGRAM`, with Debian's package prometheus installed.
+# Alert rules against promtool, and against a real Prometheus with a team of six hosts, of which one is killed and which
+# is then stopped. `alerts.sh PROGRAM`, with Debian's package prometheus installed.
 set -euo pipefail
 program=$(realpath "$1")
 root=$(cd "$(dirname "$0")/../../.." && pwd)
@@ -23,8 +23,8 @@ grep -o 'trigger="[^"]*"' "$root/packaging/prometheus/alerts.yml" | sort -u | wh
 done
 
 # The example as it is, but for addresses.
-ports=(world:10.0.0.9:19471 agent-0:10.0.0.10:19472 agent-1:10.0.0.11:19473 agent-2:10.0.0.12:19474 agent-3:10.0.0.13:19475
-    agent-4:10.0.0.14:19476)
+ports=(world:10.0.0.9:19471 agent-0:10.0.0.10:19472 agent-1:10.0.0.11:19473 agent-2:10.0.0.12:19474
+    agent-3:10.0.0.13:19475 agent-4:10.0.0.14:19476)
 cp "$root"/packaging/prometheus/{prometheus,alerts}.yml "$work"
 "$program" key new --out "$work/metrics.token" > /dev/null
 for entry in "${ports[@]}"; do
