@@ -150,21 +150,18 @@ full-damage:
 full-record-junk:
     MURMURATE_RECORD_JUNK="20000 4" cargo test --release --test record -- junk:: --nocapture
 
-# Metrics against a real Prometheus, with every query of the Grafana dashboard; the alert rules by promtool, and by a host that is
-# killed and a stop (two minutes, apt: prometheus curl)
+# Metrics, every query of the Grafana dashboard, and the alert rules against a real Prometheus (two minutes, apt: prometheus curl)
 full-metrics:
     cargo build --release
     bash tests/peers/metrics/full.sh target/release/murmurate
     bash tests/peers/metrics/alerts.sh target/release/murmurate
 
-# The site of these pages in target/site, with search and the pages of all interfaces: target/site/index.html (10 minutes, most of it
-# rustdoc; cargo install --locked mdbook). PYTHON has the wheel, pdoc and nbconvert; with its optional packages, their modules too
+# The pages as a site, target/site/index.html. PYTHON has the wheel, pdoc, nbconvert (10 minutes, cargo install --locked mdbook)
 site python="python3":
     cargo doc --locked --no-deps --lib
     {{python}} packaging/site/build.py target/site --rust target/doc --python
 
-# The site, built anew; all links and anchors in it; 22 terms by its search, each page at the width of a phone, and pictures of it in
-# target/site-pictures, in a real browser (20 minutes, network, apt: chromium-headless-shell)
+# The site built anew: links, search, phones, pictures in target/site-pictures (20 minutes, network, apt: chromium-headless-shell)
 full-site:
     python3 -m venv target/site-python
     target/site-python/bin/pip install --quiet pdoc nbconvert playwright gymnasium pettingzoo ./python
