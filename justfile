@@ -150,10 +150,31 @@ full-damage:
 full-record-junk:
     MURMURATE_RECORD_JUNK="20000 4" cargo test --release --test record -- junk:: --nocapture
 
-# Metrics against a real Prometheus, with every query of the Grafana dashboard (a minute, apt: prometheus curl)
+# Metrics, every query of the Grafana dashboard, and the alert rules against a real Prometheus (two minutes, apt: prometheus curl)
 full-metrics:
     cargo build --release
     bash tests/peers/metrics/full.sh target/release/murmurate
+    bash tests/peers/metrics/alerts.sh target/release/murmurate
+
+# The pages as a site, target/site/index.html. PYTHON has the wheel, pdoc, nbconvert (10 minutes, cargo install --locked mdbook)
+site python="python3":
+    cargo doc --locked --no-deps --lib
+    {{python}} packaging/site/build.py target/site --rust target/doc --python
+
+# The site built anew: links, search, phones, pictures in target/site-pictures (20 minutes, network, apt: chromium-headless-shell)
+full-site:
+    python3 -m venv target/site-python
+    target/site-python/bin/pip install --quiet pdoc nbconvert playwright gymnasium pettingzoo ./python
+    just site target/site-python/bin/python
+    target/site-python/bin/python packaging/site/links.py target/site
+    target/site-python/bin/python packaging/site/browser.py target/site target/site-pictures
+
+# The layouts of packaging/foxglove beside records and a live connection, by Foxglove's SDK of Python (a minute, network)
+full-foxglove:
+    python3 -m venv target/foxglove
+    target/foxglove/bin/pip install --quiet mcap mcap-protobuf-support foxglove-sdk websockets
+    cargo build --locked --release
+    target/foxglove/bin/python tests/peers/foxglove/check.py target/release/murmurate
 
 # The Python package, as a user installs it, with TorchRL, BenchMARL, PyTorch Geometric, RLlib, Stable-Baselines3 and SuperSuit, and
 # its rates; an absent package is a failure (30 minutes and 8 GB, most of it torch)

@@ -574,6 +574,15 @@ fn the_map_has_every_package() {
 }
 
 #[test]
+fn the_list_of_pages_has_every_page() {
+    let list = files(&["docs/README.md"], &["md"]).remove(0).text;
+    let pages = files(&["docs"], &["md"]).into_iter().map(|page| page.path).filter(|path| path != "docs/README.md");
+    let absent: Vec<String> =
+        pages.filter(|path| !list.contains(&format!("]({})", path.trim_start_matches("docs/")))).collect();
+    assert!(absent.is_empty(), "docs/README.md lacks {absent:?}: they would have no place on the site");
+}
+
+#[test]
 fn programs_have_names_of_their_own() {
     let mut names: Vec<String> = Vec::new();
     for manifest in files(&["Cargo.toml", "crates"], &["toml"]) {
