@@ -16,6 +16,11 @@ impl LinkWatch {
         LinkWatch
     }
 
+    /// Whether the system tells of changes.
+    pub fn is_told(&self) -> bool {
+        false
+    }
+
     /// Waits this long. What was removed is seen by looking.
     pub fn wait(&self, longest: std::time::Duration) -> Removed {
         std::thread::park_timeout(longest);

@@ -34,6 +34,11 @@ impl LinkWatch {
         LinkWatch(open.and_then(|fd| bind(fd.as_raw_fd(), &NetlinkAddr::new(0, GROUPS)).map(|()| fd)).ok())
     }
 
+    /// Whether the kernel tells of changes.
+    pub fn is_told(&self) -> bool {
+        self.0.is_some()
+    }
+
     /// Waits until the kernel tells of a change, at most for `longest`. Returns which interfaces were removed.
     pub fn wait(&self, longest: Duration) -> Removed {
         let Some(socket) = &self.0 else {
