@@ -23,6 +23,7 @@ const SILENT_MS: u32 = 10_000;
 pub fn findings(card: &Card, interface: &str, medium: LinkMedium) -> Vec<Finding> {
     let mut all = vec![mode(card, interface, medium)];
     all.extend(power_save(card, interface));
+    all.extend(country(card));
     all.extend(multicast(card, interface));
     all.extend(card.load.and_then(|load| load.share()).map(busy));
     all.push(peers(card));
@@ -85,6 +86,20 @@ fn power_save(card: &Card, interface: &str) -> Option<Finding> {
             "on: frames wait until the card wakes".to_owned(),
             format!("iw dev {interface} set power_save off"),
         ),
+    })
+}
+
+/// Returns the country whose rules hold, and warns if none is set.
+fn country(card: &Card) -> Option<Finding> {
+    let letters = card.country.as_deref()?;
+    Some(match letters {
+        "00" => warn(
+            "country",
+            "none is set: channels at 5 GHz are for listening alone".to_owned(),
+            "iw reg set DE, with the letters of yours; for good raspi-config, or cfg80211.ieee80211_regdom=DE"
+                .to_owned(),
+        ),
+        _ => Finding::ok("country", letters.to_owned()),
     })
 }
 
@@ -164,6 +179,7 @@ mod tests {
             network: Some("team".to_owned()),
             frequency_mhz: Some(5180),
             power_save: Some(false),
+            country: Some("DE".to_owned()),
             forwards: None,
             modes: vec![Mode::AdHoc, Mode::Station],
             combinations: vec![Combination {
@@ -214,6 +230,7 @@ mod tests {
             warned(&Card { power_save: Some(true), ..card() }, "power saving"),
             "iw dev wlan0 set power_save off"
         );
+        assert!(warned(&Card { country: Some("00".to_owned()), ..card() }, "country").contains("iw reg set"));
         assert!(warned(&Card { frequency_mhz: Some(2412), ..card() }, "multicast").contains("mcast_rate 24"));
         let mesh = Card { mode: Mode::MeshPoint, forwards: Some(true), ..card() };
         assert!(warned(&mesh, "multicast").contains("mesh_fwding 0"));
@@ -224,6 +241,12 @@ mod tests {
         assert!(warned(&Card { peers: vec![peer], ..card() }, "peers").contains("hidden"));
         let peer = Peer { signal_dbm: Some(-80), ..Peer::default() };
         assert!(warned(&Card { peers: vec![peer], ..card() }, "peers").contains("nearer"));
+    }
+
+    #[test]
+    fn a_country_that_the_kernel_does_not_tell_is_not_judged() {
+        let all = of(&Card { country: None, ..card() }, LinkMedium::AdHoc);
+        assert!(all.iter().all(|(_, what, ..)| *what != "country"), "{all:?}");
     }
 
     #[test]

@@ -16,9 +16,10 @@ use wl_nl80211::{
 
 use crate::card::{Card, Combination, Load, Mode, Peer};
 
-/// Attributes of the kernel (`linux/nl80211.h`) that have no type of their own: the state of power saving, the
-/// configuration of a mesh, and in it whether frames of others are forwarded.
+/// Attributes of the kernel (`linux/nl80211.h`) that have no type of their own: the state of power saving, the country
+/// of its rules, the configuration of a mesh, and in it whether frames of others are forwarded.
 const PS_STATE: u16 = 93;
+const REG_ALPHA2: u16 = 33;
 const MESH_CONFIG: u16 = 35;
 const MESH_FORWARDING: u16 = 19;
 
@@ -42,6 +43,7 @@ async fn ask(index: u32) -> Result<Card, Nl80211Error> {
         network: None,
         frequency_mhz: None,
         power_save: None,
+        country: None,
         forwards: None,
         modes: Vec::new(),
         combinations: Vec::new(),
@@ -70,6 +72,10 @@ async fn ask(index: u32) -> Result<Card, Nl80211Error> {
     card.power_save = question(&mut handle, Nl80211Command::GetPowerSave, index).await.and_then(|all| {
         let state = all.iter().find(|attribute| attribute.kind() == PS_STATE).map(value)?;
         state.first().map(|state| *state != 0)
+    });
+    card.country = question(&mut handle, Nl80211Command::GetReg, index).await.and_then(|all| {
+        let letters = all.iter().find(|attribute| attribute.kind() == REG_ALPHA2).map(value)?;
+        String::from_utf8(letters).ok().map(|letters| letters.trim_end_matches('\0').to_owned())
     });
     if card.mode == Mode::MeshPoint {
         let config = question(&mut handle, Nl80211Command::GetMeshConfig, index).await.unwrap_or_default();

@@ -93,6 +93,8 @@ pub struct Card {
     pub frequency_mhz: Option<u32>,
     /// Whether the card sleeps between frames; `None` if the driver does not say.
     pub power_save: Option<bool>,
+    /// Country whose rules the kernel follows, by its two letters, `00` for none; `None` if the kernel does not say.
+    pub country: Option<String>,
     /// Whether a mesh point forwards frames of others; `None` for other modes.
     pub forwards: Option<bool>,
     /// Modes that the card can have, in order.

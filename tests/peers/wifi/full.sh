@@ -54,7 +54,7 @@ says() { # PART TEXT...: refuses a part of the output that lacks a text
         sed -n "/^== $part\$/,/^== /p" said.txt | grep -qF -- "$text" || { echo "'$part' lacks: $text" >&2 && exit 1; }
     done
 }
-says 'no network' 'managed, on no channel' 'ip link set wlan0 down && iw dev wlan0 set type ibss && ip link set wlan0 up && iw dev wlan0 ibss join NAME'
+says 'no network' 'none is set: channels at 5 GHz' 'managed, on no channel' 'ip link set wlan0 down && iw dev wlan0 set type ibss && ip link set wlan0 up && iw dev wlan0 ibss join NAME'
 says 'power saving' 'frames wait until the card wakes' 'iw dev wlan0 set power_save off'
 says 'ad hoc' "IBSS of 'team' at 2412 MHz" '"found":"off"' 'set mcast_rate 24' '1 heard, the weakest 02:00:00:00:01:00'
 says 'samples' 'time_s,interface,mode,frequency_mhz' ',wlan0,IBSS,2412,' ',02:00:00:00:01:00,-'
@@ -67,5 +67,5 @@ says 'mesh point that does not forward' 'mesh point at 2412 MHz'
 if sed -n '/^== mesh point that does not forward$/,$p' said.txt | grep -q mesh_fwding; then
     echo 'a mesh point that does not forward is warned of' >&2 && exit 1
 fi
-says 'iw' 'Station 02:00:00:00:01:00 (on wlan0)' 'type IBSS' 'ssid team'
+says 'iw' 'country 00' 'Station 02:00:00:00:01:00 (on wlan0)' 'type IBSS' 'ssid team'
 echo "the doctor and Linux's mac80211 say the same of their cards"

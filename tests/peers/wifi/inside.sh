@@ -1,5 +1,5 @@
 # What runs in the virtual machine: cards in each mode, and what the doctor and iw say of them.
-doctor() { murmurate doctor /team.toml --host robot-0 --listen 0 --json | tr '{' '\n' | grep -E 'Wi-Fi|saving|multicast|peers'; }
+doctor() { murmurate doctor /team.toml --host robot-0 --listen 0 --json | tr '{' '\n' | grep -E 'Wi-Fi|saving|country|multicast|peers'; }
 # Not that of busybox, which its shell takes first.
 ip() { /usr/sbin/ip "$@"; }
 
@@ -39,6 +39,7 @@ echo '== as nobody'
 su nobody -s /bin/sh -c 'murmurate doctor /team.toml --host robot-0 --listen 0 --json'
 chown 0 /run/team.key
 echo '== iw'
+iw reg get
 iw dev wlan0 info
 iw dev wlan0 station dump
 
