@@ -81,11 +81,12 @@ pub fn finding(signs: &Signs, interface: &str, paired: bool) -> Option<Finding> 
     })
 }
 
-/// Returns whether an interface is the end of a pair whose other end is elsewhere: its link has another index than it has.
-pub fn is_paired(interface: &str) -> bool {
+/// Returns whether an interface is the end of a pair whose other end is elsewhere: its link has another index than it
+/// has. `None` if there is no such interface.
+pub fn is_paired(interface: &str) -> Option<bool> {
     let folder = Path::new("/sys/class/net").join(interface);
     let number = |name| std::fs::read_to_string(folder.join(name)).ok().map(|text| text.trim().to_owned());
-    number("iflink") != number("ifindex")
+    Some(number("iflink")? != number("ifindex")?)
 }
 
 #[cfg(test)]

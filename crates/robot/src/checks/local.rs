@@ -116,7 +116,7 @@ fn check_wifi(link: &Link, place: &Place) -> Vec<Found> {
 fn check_contained(link: &str, place: &Place) -> Option<Found> {
     let multicast = !place.endpoint.is_local() && place.endpoint.claim().field == "group";
     let interface = place.endpoint.interface().filter(|_| multicast)?;
-    let finding = contained::finding(&Signs::read(Path::new("/")), interface, contained::is_paired(interface))?;
+    let finding = contained::finding(&Signs::read(Path::new("/")), interface, contained::is_paired(interface)?)?;
     let Finding { fitness, what, found, advice } = finding;
     Some((fitness, Subject::Link { link: link.to_owned(), item: what.to_owned() }, found, advice))
 }
