@@ -5,6 +5,7 @@ import gzip
 import hashlib
 import platform
 import shutil
+import subprocess
 
 from .common import ROOT, Refused, output
 from .programs import third_party
@@ -43,7 +44,7 @@ def said_by_program(release, folder):
     for shell, place in COMPLETIONS.items():
         placed(folder / place, output(program, "completions", shell).encode())
     pages = folder / "usr/share/man/man1"
-    output(program, "man", "--out", pages)
+    output(program, "man", "--out", pages, stderr=subprocess.DEVNULL)
     for page in sorted(pages.glob("*.1")):
         zipped(page, page.read_bytes())
         page.unlink()
