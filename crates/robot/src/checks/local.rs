@@ -10,6 +10,7 @@ use murmurate::net::transport::Place;
 use murmurate::registry::Registry;
 use murmurate::trial::Trial;
 
+use super::contained::{self, Signs};
 use super::finding::{Found, Subject};
 use crate::policy::{self, LoadedTeam};
 use crate::{BadInput, key, own_name, team};
@@ -21,6 +22,7 @@ pub fn check(team: &Team, registry: &Registry) -> Vec<Found> {
         if let Some(place) = place {
             found.extend(check_link(team.host, &link.name, place));
             found.extend(check_wifi(link, place));
+            found.extend(check_contained(&link.name, place));
         }
     }
     found
@@ -108,6 +110,15 @@ fn check_wifi(link: &Link, place: &Place) -> Vec<Found> {
         }],
     };
     all.into_iter().map(found).collect()
+}
+
+/// Checks whether multicast of a link can leave this machine, if it is a container or WSL2.
+fn check_contained(link: &str, place: &Place) -> Option<Found> {
+    let multicast = !place.endpoint.is_local() && place.endpoint.claim().field == "group";
+    let interface = place.endpoint.interface().filter(|_| multicast)?;
+    let finding = contained::finding(&Signs::read(Path::new("/")), interface, contained::is_paired(interface)?)?;
+    let Finding { fitness, what, found, advice } = finding;
+    Some((fitness, Subject::Link { link: link.to_owned(), item: what.to_owned() }, found, advice))
 }
 
 /// Returns the largest packet of an interface \[bytes\]; `None` if it is unknown.

@@ -6,6 +6,7 @@
 //! the host is running and uses them.
 
 mod bench;
+mod contained;
 mod devices;
 mod finding;
 mod listen;

@@ -1,0 +1,1 @@
+"""The steps of packaging/release, a file each."""
