@@ -17,8 +17,8 @@ use crate::messages::ids::HostId;
 use crate::net::transport::Filter;
 use crate::net::transport::link_watch::{LinkWatch, Removed};
 
-/// Longest time between two looks at the network interface, where the kernel tells of no change, or the sockets wait for
-/// an interface.
+/// Longest time between two looks at the network interface, where the kernel tells of no change, or the sockets wait
+/// for an interface.
 const LOOK: Duration = Duration::from_millis(500);
 /// The same while the sockets are open and the kernel tells of changes. A look asks for all interfaces and addresses,
 /// which costs a host that hears twenty messages a second a tenth of its work if it looks twice a second.
