@@ -58,14 +58,14 @@ full-abuse:
 # Hostile files and datagrams: 20 000 mutations of each kind, then every reader under fuzzing guided by coverage (40 minutes)
 full-hostile:
     MURMURATE_MUTATIONS=20000 cargo test --release --test hostile -- --nocapture
-    FUZZ_FEATURES=train fuzz/run 1200
+    FUZZ_FEATURES="train mavlink" fuzz/run 1200
 
 # The packages as a registry would have them, each built from its own tarball (20 minutes)
 full-package:
     CARGO_TARGET_DIR={{justfile_directory()}}/target cargo package --locked --workspace \
         --exclude murmurate-python --exclude stranger --exclude stranger-python
 
-# Exported folders and a team in the Robotarium's simulator, every command of docs/robotarium.md (15 minutes, network, 200 MB)
+# Exported folders and teams in the Robotarium's simulator, every command of docs/robotarium.md (25 minutes, network, 200 MB)
 full-robotarium:
     python3 -m venv target/robotarium
     target/robotarium/bin/pip install --quiet numpy scipy matplotlib robotarium-python-simulator
@@ -126,11 +126,14 @@ full-robots python="python3":
     cargo build --release --features ros2
     bash tests/peers/ros2/full.sh {{python}} target/release/murmurate
 
-# The fake Crazyflie before cflib, and the driver before the fake Crazyflie. PYTHON has cflib (two minutes)
+# The fake Crazyflie before cflib, six of them flown by the program, with hosts that die, lost packets and faults, and the commands
+# of docs/crazyflie.md. PYTHON has cflib, mcap and msgpack (25 minutes, and 10 to build)
 full-crazyflie python="python3":
     cargo test --package murmurate-crazyflie --features link
-    cargo build --package murmurate-crazyflie --features link --example fake_crazyflie
-    bash tests/peers/crazyflie/full.sh {{python}} target/debug/examples/fake_crazyflie
+    cargo build --release --package murmurate-crazyflie --features link --example fake_crazyflie
+    cargo build --release --package murmurate --example natnet_server
+    cargo build --release --features crazyflie
+    bash tests/peers/crazyflie/full.sh {{python}} target/release/examples target/release/murmurate
 
 # Exactly what the gate runs (under 30 minutes on 2 cores)
 ci:

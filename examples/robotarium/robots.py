@@ -17,6 +17,7 @@ import sys
 import time
 
 STEP_S = 0.033
+ANSWER_S = 0.02  # of a step: for the commands that a host sends once it has these poses
 PLACES = [-1.3, -0.6, 0.6, 1.3]  # along x: where robots stand at the beginning
 ROWS = [0.7, -0.7, 0.0]
 
@@ -28,9 +29,9 @@ def drive(here):
         link.sendto(line.encode(), here)
 
 
-def newest(link, commands):
-    """Takes the commands that have arrived; each holds until its own end."""
-    while select.select([link], [], [], 0)[0]:
+def newest(link, commands, over):
+    """Takes the commands that arrive until a time; each holds until its own end."""
+    while select.select([link], [], [], max(0.0, over - time.monotonic()))[0]:
         line = json.loads(link.recv(4096))
         until = time.monotonic() + line["for_s"]
         commands[line["robot"]] = (line["ahead"] or 0.0, line["yaw_rate"] or 0.0, until)
@@ -49,13 +50,9 @@ def track(here, robots, turned, report):
     arena = robotarium.Robotarium(
         number_of_robots=robots, show_figure=False, sim_in_real_time=True, initial_conditions=np.array(start).T
     )
-    commands, steps, due = {}, 0, time.monotonic()
+    commands, steps, due, motion = {}, 0, time.monotonic(), np.zeros((2, robots))
     while not select.select([sys.stdin], [], [], 0)[0]:
-        newest(link, commands)
-        now, poses, motion = time.monotonic(), arena.get_poses().copy(), np.zeros((2, robots))
-        for robot, (forward, turn, until) in commands.items():
-            if now < until:
-                motion[:, robot] = forward, turn
+        now, poses = time.monotonic(), arena.get_poses().copy()
         for robot in range(robots):
             x, y, heading = poses[:, robot]
             if turned:
@@ -64,7 +61,14 @@ def track(here, robots, turned, report):
             reading = {"robot": robot, "stamp_s": now, "x": x, "y": y, "heading": math.remainder(heading, math.tau)}
             motions = {"vx": forward * math.cos(heading), "vy": forward * math.sin(heading), "yaw_rate": turn}
             print(json.dumps({**reading, **motions}), flush=True)
-        arena.set_velocities(np.arange(robots), motion)
+        # As a script of the Robotarium: poses, then the commands that follow from them, then the step. A command that was
+        # computed from the poses before would act while its robot has turned on by up to 7 degrees.
+        newest(link, commands, time.monotonic() + ANSWER_S)
+        now, motion = time.monotonic(), np.zeros((2, robots))
+        for robot, (forward, turn, until) in commands.items():
+            if now < until:
+                motion[:, robot] = forward, turn
+        arena.set_velocities(np.arange(robots), motion.copy())
         arena.step()
         steps, due = steps + 1, max(due + STEP_S, time.monotonic() - STEP_S)
         time.sleep(max(0.0, due - time.monotonic()))

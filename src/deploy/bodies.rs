@@ -53,6 +53,12 @@ impl Deployment {
         self.body_settings(robot).flight().expect("a checked deployment has sound flights")
     }
 
+    /// Returns the simulated robots that have a height, and so fly.
+    pub(super) fn flying(&self) -> Vec<RobotId> {
+        let simulated = self.hosts.iter().flat_map(|host| &host.simulates).map(|robot| RobotId(*robot));
+        simulated.filter(|robot| self.body_settings(*robot).height_m.is_some()).collect()
+    }
+
     /// Checks that a robot has a height exactly if its driver, of this name, `flies`. An error names the field.
     pub(super) fn check_flight(&self, robot: RobotId, (flies, driver): (bool, &str)) -> Result<(), ConfigError> {
         let why = match (flies, self.body_settings(robot).height_m.is_some()) {

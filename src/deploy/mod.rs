@@ -362,7 +362,7 @@ impl Deployment {
     /// Returns the robots, hosts and links of the deployment into which a fault plan can inject faults.
     pub fn targets(&self) -> Targets<'_> {
         let links = self.links.iter().map(|link| (link.name.as_str(), link.carries.as_slice())).collect();
-        Targets { robots: self.robots, hosts: self.hosts.len(), links }
+        Targets { robots: self.robots, hosts: self.hosts.len(), flying: self.flying(), links }
     }
 
     /// Returns the deployment with the emulated channel `radio` on every link whose medium is a radio; each link has a

@@ -198,7 +198,7 @@ mod tests {
     use crate::faults::Targets;
 
     fn targets() -> Targets<'static> {
-        Targets { robots: 5, hosts: 2, links: vec![("infra", &[Kind::Mode])] }
+        Targets { robots: 5, hosts: 2, flying: vec![RobotId(3)], links: vec![("infra", &[Kind::Mode])] }
     }
 
     #[test]
@@ -232,6 +232,9 @@ mod tests {
         assert!(error(&format!("{actor}color = 9\n")).contains("color"));
         assert!(error(&actor.replace("1.0", "-1.0")).contains("actor[0].at_s"));
         assert!(error(&actor.replace("crash", "slow")).contains("actor[0].by_s"));
+        let flat = actor.replace("cache", "body").replace("crash", "flat");
+        assert!(read(&format!("{flat}robot = 3\n")).is_ok());
+        assert!(error(&format!("{flat}robot = 2\n")).contains("actor[0].fault"), "it does not fly");
         let link = "[[link]]\nlink = \"infra\"\nfault = \"drop\"\nfrom_s = 1.0\nuntil_s = 2.0\n";
         assert!(read(link).is_ok());
         assert!(error(&link.replace("infra", "ether")).contains("link[0].link"));

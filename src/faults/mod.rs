@@ -167,6 +167,8 @@ pub struct Targets<'a> {
     pub robots: usize,
     /// Number of hosts (processes that run parts of the system) in the team.
     pub hosts: usize,
+    /// Simulated robots that fly, which alone have a battery.
+    pub flying: Vec<RobotId>,
     /// Links of the team: pairs of a link's name and the kinds of messages that it carries.
     pub links: Vec<(&'a str, &'a [Kind])>,
 }
@@ -245,13 +247,20 @@ impl FaultPlan {
     /// Checks that the robots, hosts, links and kinds of messages that the plan names exist in a team with `targets`.
     /// An error names the wrong field.
     pub fn check(&self, targets: &Targets) -> Result<(), ConfigError> {
-        let Targets { robots, hosts, ref links } = *targets;
+        let Targets { robots, hosts, ref flying, ref links } = *targets;
         // The one state server is of no robot.
         let missing = |fault: &ActorFault| fault.role != Role::StateServer && fault.robot.index() >= robots;
         if let Some(index) = self.actors.iter().position(missing) {
             let fault = &self.actors[index];
             let reason = format!("there is no {}; the team has {robots}, counted from 0", fault.robot);
             return Err(ConfigError::field(format!("actor[{index}].robot"), reason));
+        }
+        let idle = |fault: &ActorFault| fault.kind == ActorFaultKind::Flat && !flying.contains(&fault.robot);
+        if let Some(index) = self.actors.iter().position(idle) {
+            let robot = self.actors[index].robot;
+            let reason =
+                format!("{robot} is no simulated robot that flies, and only they have a battery (body.height_m)");
+            return Err(ConfigError::field(format!("actor[{index}].fault"), reason));
         }
         for (index, fault) in self.links.iter().enumerate() {
             let wrong = |field: &str, reason: String| Err(ConfigError::field(format!("link[{index}].{field}"), reason));
@@ -327,7 +336,7 @@ mod tests {
     use super::*;
 
     fn targets() -> Targets<'static> {
-        Targets { robots: 5, hosts: 2, links: vec![("infra", &[Kind::Mode])] }
+        Targets { robots: 5, hosts: 2, flying: vec![RobotId(3)], links: vec![("infra", &[Kind::Mode])] }
     }
 
     #[test]

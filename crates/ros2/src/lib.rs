@@ -8,6 +8,7 @@
 
 #[cfg(feature = "dds")]
 mod dds;
+pub mod discovery;
 pub mod driver;
 pub mod messages;
 #[cfg(feature = "dds")]

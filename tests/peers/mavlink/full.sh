@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # What stand-in autopilots show: the stand-in before MAVSDK, our driver before MAVSDK's autopilot, frames before pymavlink, rovers and
-# copters in teams. Prints figures; exit code 1 if a bar is missed.
+# copters in teams, the commands of docs/mavlink.md. Prints figures; exit code 1 if a bar is missed.
 #
 #   bash tests/peers/mavlink/full.sh PYTHON MURMURATE
 #
@@ -12,4 +12,5 @@ python=$1 program=$(cd "$OLDPWD" && realpath "$2") missed=0
 "$python" server.py "$program" || missed=1
 "$python" rovers.py "$program" || missed=1
 "$python" copters.py "$program" || missed=1
+"$python" page.py "$program" || missed=1
 exit "$missed"

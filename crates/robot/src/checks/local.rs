@@ -4,6 +4,7 @@ use std::path::Path;
 
 use murmurate::deploy::Link;
 use murmurate::deploy::team::Team;
+use murmurate::edge::Settings;
 use murmurate::fitness::{Finding, Fitness};
 use murmurate::messages::ids::HostId;
 use murmurate::net::transport::Place;
@@ -25,7 +26,25 @@ pub fn check(team: &Team, registry: &Registry) -> Vec<Found> {
             found.extend(check_contained(&link.name, place));
         }
     }
+    found.extend(check_ros(team, &|name| std::env::var(name).ok()));
     found
+}
+
+/// Checks the variables of ROS 2 of a host that speaks it; `variable` returns the value of one that is set.
+fn check_ros(team: &Team, variable: &dyn Fn(&str) -> Option<String>) -> Vec<Found> {
+    let host = &team.deployment.hosts[usize::from(team.host.0)];
+    let parts = [&host.driver, &host.source, &host.observe].into_iter().flatten();
+    let domain = |settings: &Settings| {
+        let domain = settings.table.get("domain").and_then(toml::Value::as_integer).unwrap_or(0);
+        u16::try_from(domain).unwrap_or_default()
+    };
+    let domains: Vec<u16> = parts.filter(|settings| settings.name == "ros2").map(domain).collect();
+    if domains.is_empty() {
+        return Vec::new();
+    }
+    let found =
+        |Finding { fitness, what, found, advice }: Finding| (fitness, Subject::General(what.to_owned()), found, advice);
+    murmurate_ros2::discovery::findings(variable, &domains).into_iter().map(found).collect()
 }
 
 fn check_key(team: &Team) -> Found {
@@ -150,6 +169,17 @@ mod tests {
         team.key_file = Some("/nowhere/team.key".into());
         let (status, _, found, _) = check_key(&team);
         assert!(status == Fitness::Fail && found.contains("/nowhere/team.key"), "{found}");
+    }
+
+    #[test]
+    fn variables_of_ros_are_named_on_hosts_that_speak_it_alone() {
+        let variable = |name: &str| (name == "ROS_DISCOVERY_SERVER").then(|| "10.0.0.2:11811".to_owned());
+        let mut team = team();
+        assert!(check_ros(&team, &variable).is_empty());
+        let table = "namespace = '/r0'".parse().expect("TOML");
+        team.deployment.hosts[0].driver = Some(Settings { name: "ros2".to_owned(), table });
+        let found = check_ros(&team, &variable);
+        assert!(found.len() == 1 && found[0].1.to_string() == "ROS_DISCOVERY_SERVER", "{found:?}");
     }
 
     #[test]
