@@ -107,6 +107,7 @@ mod tests {
             mode: Mode::AdHoc,
             network: Some("team".to_owned()),
             frequency_mhz: Some(2412),
+            country: None,
             power_save: Some(false),
             forwards: None,
             modes: Vec::new(),
