@@ -185,8 +185,8 @@ impl Comparison {
     }
 }
 
-/// Returns the next recorded message that a replay repeats, that is, every one but log lines and samples of Wi-Fi; `None`
-/// at the end of the record.
+/// Returns the next recorded message that a replay repeats, that is, every one but log lines and samples of Wi-Fi;
+/// `None` at the end of the record.
 fn next(recorded: &mut Messages) -> Result<Option<Message>, ReadError> {
     loop {
         match recorded.next_message()? {

@@ -131,8 +131,8 @@ impl LiveRecord {
     }
 
     /// Marks the end of a turn of the event loop (one pass over all pending inputs), at the time `now`, in the record.
-    /// Adds the lines that the program has logged since the last turn, and the samples of Wi-Fi. `steps` is the number of things that the host's
-    /// actors have done so far; `None` if it is not known.
+    /// Adds the lines that the program has logged since the last turn, and the samples of Wi-Fi. `steps` is the number
+    /// of things that the host's actors have done so far; `None` if it is not known.
     pub fn turn(&self, now: Time, steps: Option<u64>) {
         log::take(|line| self.inlet.push(Event::Logged(line)));
         self.samples.iter().for_each(|samples| samples.take(|sample| self.inlet.push(Event::Wifi(Box::new(sample)))));
