@@ -95,6 +95,10 @@ third-party:
     packaging/third-party murmurate-robot target/robot/THIRD-PARTY.txt --features program
     packaging/third-party murmurate-python python/murmurate/THIRD-PARTY.txt
 
+# All artefacts of a release, dry without --go: docs/release.md (an hour; pip: ziglang cargo-zigbuild maturin, apt: dpkg-dev)
+release version *flags:
+    packaging/release {{version}} {{flags}}
+
 # The robot's program, and how large it is (two minutes)
 robot:
     cargo build --package murmurate-robot --features program --profile robot
