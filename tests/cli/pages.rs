@@ -433,6 +433,9 @@ fn team_files_and_fault_plans_of_the_pages_are_valid() {
             let line = |start: &str| block.text.lines().any(|line| line.starts_with(start));
             let args = if line("team =") {
                 "config check shown.toml"
+            } else if line("fault = \"flat\"") {
+                // Only robots that fly have a battery.
+                "sim --deployment flies.toml --faults shown.toml --episodes 2 --repeats 1 --quiet"
             } else if line("fault =") {
                 "sim --mode onboard-adhoc --faults shown.toml --episodes 2 --repeats 1 --quiet"
             } else {
@@ -440,6 +443,8 @@ fn team_files_and_fault_plans_of_the_pages_are_valid() {
             };
             let sandbox = Sandbox::new(&page);
             sandbox.write("shown.toml", &block.text);
+            let preset = sandbox.run(&["deployment", "onboard-adhoc"]).expect("it is a preset");
+            sandbox.write("flies.toml", &format!("{preset}\n[body]\nheight_m = 1.0\n"));
             let ran = sandbox.run(&args.split(' ').collect::<Vec<_>>());
             assert!(ran.is_ok(), "{}:\n{}\n{ran:?}", page.name, block.text);
             checked += 1;
