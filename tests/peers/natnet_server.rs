@@ -30,7 +30,7 @@ fn told() -> Bodies {
             // The tracker's y axis points up.
             let place = [number("x"), 0.1, -number("y")];
             let body = Body::standing(&format!("robot-{robot}"), robot + 1, place, number("heading"));
-            told.lock().expect("nobody panics").insert(robot, body);
+            told.lock().expect("no thread panics with it").insert(robot, body);
         }
     });
     bodies
@@ -64,7 +64,7 @@ fn main() {
     let tally = natnet::serve(&setup, &stop, |stamp_s, number| {
         stop.store(stamp_s >= seconds, Ordering::Relaxed);
         let bodies = match &lines {
-            Some(told) => told.lock().expect("nobody panics").values().cloned().collect(),
+            Some(told) => told.lock().expect("no thread panics with it").values().cloned().collect(),
             None => own(stamp_s),
         };
         Some(Scene { number: number as i32, stamp_s, models_changed: false, bodies, extras: 0 })

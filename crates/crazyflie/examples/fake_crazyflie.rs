@@ -111,7 +111,7 @@ impl Served {
         }
     }
 
-    /// Returns who flies the robot: nobody, a setpoint, one that is too old, or the high-level commander.
+    /// Returns the commander that flies the robot: none, a setpoint, one that is too old, or the high-level one.
     fn flown(&self) -> &'static str {
         let air = &self.robot.air;
         match air.low {
@@ -122,7 +122,7 @@ impl Served {
         }
     }
 
-    /// Writes the setpoints and orders that are new, and who flies the robot if that has changed.
+    /// Writes the setpoints and orders that are new, and the commander if it has changed.
     fn write(&mut self) {
         let (now, number, robot) = (clock_s(), self.number, &self.robot);
         let mut log = std::io::stderr();

@@ -1,4 +1,4 @@
-//! Pace of link reports that need datagrams of their own: rarer in a larger team, while nobody waits for one and
+//! Pace of link reports that need datagrams of their own: rarer in a larger team, while no host waits for one and
 //! nothing is lost. Pure.
 //!
 //! Every host receives the reports of all others, so at a fixed period the team's work would grow with the square of

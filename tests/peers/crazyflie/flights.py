@@ -292,7 +292,7 @@ def faults(program, folder):
 
 
 def main():
-    program, folder, cases = program_of(sys.argv[1]), sys.argv[2], sys.argv[3:]
+    program, folder, cases = program_of(sys.argv), sys.argv[2], sys.argv[3:]
     runs = {
         "six": lambda: six(program, folder),
         "wiggle": lambda: wiggle(program, folder),

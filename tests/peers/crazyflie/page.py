@@ -17,7 +17,7 @@ PAGE = Path(__file__).resolve().parents[3] / "docs" / "crazyflie.md"
 
 
 def main():
-    program, folder = program_of(sys.argv[1]), sys.argv[2]
+    program, folder = program_of(sys.argv), sys.argv[2]
     blocks = dict(reversed(re.findall(r"```(\w+)\n(.*?)```", PAGE.read_text(), re.S)))
     text = blocks["toml"].replace("10.0.0.2", "127.0.0.1").replace("eth1", "lo")
     commands = [line.split(" #")[0].split() for line in blocks["sh"].splitlines() if line.startswith("murmurate ")]

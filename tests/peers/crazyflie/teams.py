@@ -5,7 +5,6 @@ A team has a host for each robot, and `pc` with the tracker and the state server
 
 import contextlib
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -13,6 +12,9 @@ import tempfile
 import threading
 import time
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+from bars import missed, program_of  # noqa: E402, F401
 
 PORT = 19850
 # A robot is known by the height of its setpoints.
@@ -175,17 +177,3 @@ class Team:
             process.wait()
         self.fakes.end()
         self.place.cleanup()
-
-
-def missed(bars):
-    """Prints each bar of (name, figure, whether it is met), and returns whether any is missed."""
-    for name, figure, met in bars:
-        print(f"{name}: {figure}{'' if met else '  MISSED'}", flush=True)
-    return not all(met for _, _, met in bars)
-
-
-def program_of(path):
-    path = os.path.abspath(path)
-    if not os.access(path, os.X_OK):
-        sys.exit(f"no program at {path}")
-    return path

@@ -2,12 +2,14 @@
 
 import contextlib
 import json
-import os
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+from bars import missed, program_of  # noqa: E402, F401
 
 HERE = Path(__file__).resolve().parent
 KEY = "0123456789abcdef" * 4
@@ -155,17 +157,3 @@ class Team:
                 process.kill()
             process.wait()
         self.folder.cleanup()
-
-
-def missed(bars):
-    """Prints each bar of (name, figure, whether it is met), and returns whether any is missed."""
-    for name, figure, met in bars:
-        print(f"{name}: {figure}{'' if met else '  MISSED'}", flush=True)
-    return not all(met for _, _, met in bars)
-
-
-def program_of(arguments):
-    program = os.path.abspath(arguments[1]) if len(arguments) > 1 else None
-    if not program or not os.access(program, os.X_OK):
-        sys.exit(f"no program at {program}")
-    return program

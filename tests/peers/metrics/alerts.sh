@@ -2,19 +2,7 @@
 # Alert rules against promtool, and against a real Prometheus with a team of six hosts, of which one is killed and which
 # is then stopped. `alerts.sh PROGRAM`, with Debian's package prometheus installed.
 set -euo pipefail
-program=$(realpath "$1")
-root=$(cd "$(dirname "$0")/../../.." && pwd)
-for needed in prometheus promtool curl python3; do
-    command -v "$needed" > /dev/null || { echo "$needed is missing: apt-get install prometheus curl python3" >&2; exit 2; }
-done
-work=$(mktemp -d)
-pids=()
-finish() {
-    for pid in "${pids[@]}"; do kill -INT "$pid" 2> /dev/null || true; done
-    wait || true
-    rm -rf "$work"
-}
-trap finish EXIT
+. "$(dirname "$0")/begin.sh"
 
 (cd "$root/packaging/prometheus" && promtool check rules alerts.yml && promtool test rules alerts_test.yml)
 # Every trigger that a rule names is one of the program's.

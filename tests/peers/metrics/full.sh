@@ -2,19 +2,7 @@
 # Metrics against a real Prometheus: the page of a simulation and a host of a team, scraped for a while; every query of
 # the Grafana dashboard is put to it. `full.sh PROGRAM`, with Debian's package prometheus installed.
 set -euo pipefail
-program=$(realpath "$1")
-root=$(cd "$(dirname "$0")/../../.." && pwd)
-for needed in prometheus promtool curl python3; do
-    command -v "$needed" > /dev/null || { echo "$needed is missing: apt-get install prometheus curl python3" >&2; exit 2; }
-done
-work=$(mktemp -d)
-pids=()
-finish() {
-    for pid in "${pids[@]}"; do kill -INT "$pid" 2> /dev/null || true; done
-    wait || true
-    rm -rf "$work"
-}
-trap finish EXIT
+. "$(dirname "$0")/begin.sh"
 
 "$program" sim --watch --mode offboard --episodes 1000 --quiet --listen 127.0.0.1:19464 > /dev/null 2> "$work/sim" &
 pids+=($!)

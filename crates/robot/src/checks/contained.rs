@@ -4,7 +4,7 @@ use std::path::Path;
 
 use murmurate::fitness::{Finding, Fitness};
 
-/// What of the machine says that it is none of its own.
+/// Signs that this machine is a container or WSL2.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Signs {
     /// File that a container runtime has left, if there is one.
